@@ -1,0 +1,160 @@
+"""The scene: everything that the user states about a shell, as one pytree whose floats are differentiable."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxshell.checks import check_finite, check_shape, float_array
+from jaxshell.frozen import Frozen
+from jaxshell.loads import Load
+from jaxshell.mesh import Mesh
+from jaxshell.section import Section
+from jaxshell.supports import Support
+
+WATCHABLE = ("ux", "uy", "uz", "vx", "vy", "vz")
+
+
+class Initial(eqx.Module):
+    """The state at the start, where it differs from rest in the stress-free shape.
+
+    Arguments (each may be None; all differentiable):
+        velocities: (n, 3) nodal velocities [length/time].
+        angular_velocities: (n, 3) nodal angular velocities in space [rad/time].
+        displacements: (n, 3) nodal displacements from the stress-free shape [length].
+        rotations: (n, 3, 3) nodal rotation matrices from the stress-free shape.
+    """
+
+    velocities: Float[jax.Array, "n 3"] | None = None
+    angular_velocities: Float[jax.Array, "n 3"] | None = None
+    displacements: Float[jax.Array, "n 3"] | None = None
+    rotations: Float[jax.Array, "n 3 3"] | None = None
+
+    def __check_init__(self):
+        for name in ("velocities", "angular_velocities", "displacements", "rotations"):
+            if getattr(self, name) is not None:
+                check_finite(f"initial {name}", getattr(self, name))
+
+    @classmethod
+    def rigid(cls, mesh: Mesh, velocity=(0.0, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.0), about=None) -> "Initial":
+        """A rigid motion: `velocity` (3,) of the point `about` (3,) (default: the mean of the nodes), and a spin."""
+        velocity, spin = float_array(velocity), float_array(angular_velocity)
+        centre = jnp.mean(mesh.nodes, axis=0) if about is None else float_array(about)
+        velocities = velocity + jnp.cross(spin, mesh.nodes - centre)
+        return cls(velocities, jnp.broadcast_to(spin, mesh.nodes.shape))
+
+
+class Defaults(NamedTuple):
+    """How a scene of the library is usually run and shown; the command line starts from it."""
+
+    dt: float
+    t_end: float
+    save_every: int = 1
+    picture_times: tuple[float, ...] = ()
+    methods: tuple[tuple[str, float, float], ...] = (("EMC", 1.0, 0.0),)
+    """(name, spectral_radius, dissipation) of each of the paper's runs; the first is the default."""
+
+
+class Scene(eqx.Module):
+    """A shell with its supports and loads.
+
+    Arguments:
+        mesh, section: the shell. supports, loads: sequences, possibly empty.
+        initial: the state at the start; None is rest.
+        name: for files and pictures.
+        watch: {label: (node, component)}, component out of ux, uy, uz, vx, vy, vz; kept at every step.
+        defaults: suggested time step, duration and methods (used by the command line only).
+
+    Units are the user's, consistently. Raises ValueError for loads and supports on nodes that do not
+    exist, for a freedom prescribed twice, for values per element or node of another length.
+    """
+
+    mesh: Mesh
+    section: Section
+    supports: tuple[Support, ...]
+    loads: tuple[Load, ...]
+    initial: Initial | None
+    name: str = eqx.field(static=True)
+    watch: tuple[tuple[str, int, str], ...] = eqx.field(static=True)
+    defaults: Defaults | None = eqx.field(static=True)
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        section: Section,
+        supports: Sequence[Support] = (),
+        loads: Sequence[Load] = (),
+        initial: Initial | None = None,
+        name: str = "scene",
+        watch: Mapping[str, tuple[int, str]] | None = None,
+        defaults: Defaults | None = None,
+    ):
+        self.mesh = mesh
+        self.section = section
+        self.supports = (supports,) if isinstance(supports, Support) else tuple(supports)
+        self.loads = (loads,) if isinstance(loads, Load) else tuple(loads)
+        self.initial = initial
+        self.name = name
+        self.watch = tuple((label, int(node), component) for label, (node, component) in (watch or {}).items())
+        self.defaults = defaults
+
+    def __check_init__(self):
+        n, m = self.mesh.n_nodes, self.mesh.n_elements
+        self.section.per_element(m)
+        for kind, objects in (("support", self.supports), ("load", self.loads)):
+            for position, item in enumerate(objects):
+                nodes = getattr(item, "nodes", None)
+                if nodes is not None:
+                    _check_nodes(f"{kind} {position}", nodes.array, n)
+        for label, node, component in self.watch:
+            _check_nodes(f"watch {label!r}", np.array([node]), n)
+            if component not in WATCHABLE:
+                raise ValueError(f"watch {label!r} names {component!r}; choose out of {', '.join(WATCHABLE)}.")
+        for position, load in enumerate(self.loads):
+            pressure = getattr(load, "pressure", None)
+            if pressure is not None and pressure.shape not in ((), (m,)):
+                raise ValueError(f"load {position}: pressure must be one value or {m}, but has shape {pressure.shape}.")
+        if self.initial is not None:
+            for name in ("velocities", "angular_velocities", "displacements"):
+                if getattr(self.initial, name) is not None:
+                    check_shape(f"initial {name}", getattr(self.initial, name), (n, 3))
+            if self.initial.rotations is not None:
+                check_shape("initial rotations", self.initial.rotations, (n, 3, 3))
+        self._check_prescribed_once()
+
+    def _check_prescribed_once(self):
+        moved = [s.dof_numbers.ravel() for s in self.supports if s.displacement is not None]
+        held = [s.dof_numbers.ravel() for s in self.supports if s.displacement is None]
+        if moved:
+            numbers = np.concatenate(moved)
+            repeated = np.concatenate([np.intersect1d(numbers, np.concatenate([*held, np.zeros(0, int)])), _repeats(numbers)])
+            if repeated.size:
+                node, dof = divmod(int(repeated[0]), 6)
+                raise ValueError(
+                    f"Freedom {('ux', 'uy', 'uz', 'rx', 'ry', 'rz')[dof]} of node {node} is prescribed by two supports."
+                )
+
+    @property
+    def held_dofs(self) -> np.ndarray:
+        """Sorted numbers 6·node + dof of all freedoms that supports hold or move."""
+        numbers = [support.dof_numbers.ravel() for support in self.supports]
+        return np.unique(np.concatenate(numbers)) if numbers else np.zeros(0, np.int64)
+
+    @property
+    def held(self) -> Frozen:
+        return Frozen(self.held_dofs)
+
+
+def _check_nodes(what: str, nodes: np.ndarray, n_nodes: int) -> None:
+    outside = (nodes < 0) | (nodes >= n_nodes)
+    if outside.any():
+        raise ValueError(f"{what} names node {nodes[outside][0]}, but the mesh has nodes 0 to {n_nodes - 1}.")
+
+
+def _repeats(numbers: np.ndarray) -> np.ndarray:
+    values, count = np.unique(numbers, return_counts=True)
+    return values[count > 1]
