@@ -57,7 +57,7 @@ def free_plate(divisions: tuple[int, int] = (15, 3), loads: Sequence[Load] | Non
     ASSUMPTION. The paper shows where its loads act only in a figure, and f(t), eq. (106), rising to 4e4 at
     2 ms and falling to zero at 4 ms, would crumple the plate as a nodal force. Here f(t) is a line load in
     N/m: on the short edge x = 0 upwards (+z) and along +x, on the short edge x = 0.3 m half as large and
-    downwards, and on the half y > 0.03 m of both short edges ±z again, which twists. The plate bends, twists
+    downwards, and on the far half of both short edges (y >= 0.02 m with three rows) ±z again, which twists. The plate bends, twists
     and flies off with linear and angular momentum. `loads` replaces all of it.
     """
     columns, rows = divisions

@@ -1,0 +1,1 @@
+"""The shell element: membrane, bending, corotational frame and inertia, each written for one triangle."""

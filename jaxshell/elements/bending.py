@@ -1,0 +1,67 @@
+"""DKT: the discrete Kirchhoff plate triangle, for one element.
+
+J.-L. Batoz, K.-J. Bathe & L.-W. Ho, "A study of three-node triangular plate bending elements", Int. J. Numer.
+Methods Eng. 15 (1980) 1771-1812. The bending part of K̄_m in Yang & Xia 2014, eqs. (60)-(61).
+
+The rotations β = -grad w are quadratic in the element: their corner values are nodal freedoms, and at the
+middle of an edge the component along it is that of the cubic w of the edge (Kirchhoff's constraint), the
+one across it the mean of its ends.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxshell.elements.membrane import plane_stress_matrix
+
+EDGES = ((0, 1), (1, 2), (2, 0))
+
+
+def bending_stiffness(
+    xy: Float[Array, "3 2"],
+    thickness: Float[Array, ""],
+    young_modulus: Float[Array, ""],
+    poisson_ratio: Float[Array, ""],
+) -> Float[Array, "9 9"]:
+    """Stiffness of the DKT plate triangle, freedoms (w1, θx1, θy1, w2, θx2, θy2, w3, θx3, θy3).
+
+    Rotations are right-handed about the axes: θx = ∂w/∂y, θy = -∂w/∂x.
+
+    **Arguments:**
+
+    - `xy`: coordinates of the corners in the plane of the element [m], counter-clockwise.
+    - `thickness` [m], `young_modulus` [Pa], `poisson_ratio` [-].
+
+    **Returns:** the symmetric stiffness of rank 6 [N/m, N, N m]; rotations in rad.
+
+    **Source:** Batoz, Bathe & Ho 1980.
+    """
+    first_edge, last_edge = xy[1] - xy[0], xy[2] - xy[0]
+    area = 0.5 * (first_edge[0] * last_edge[1] - first_edge[1] * last_edge[0])
+    opposite = xy[jnp.array([2, 0, 1])] - xy[jnp.array([1, 2, 0])]
+    gradients = jnp.stack([-opposite[:, 1], opposite[:, 0]], axis=1) / (2.0 * area)  # of N1, N2, N3
+
+    freedoms = jnp.eye(9)
+    w = freedoms[0::3]
+    beta = jnp.stack([freedoms[2::3], -freedoms[1::3]], axis=1)  # (3, 2, 9): β = (θy, -θx) at the corners
+
+    # β = Σ N_a β_a + Σ_edges 4 N_i N_j Δ_ij, Δ_ij the excess over the mean of the ends at mid-edge. Along the
+    # edge e = x_j - x_i, of length l, the cubic w has w_s = 3 (w_j - w_i)/(2l) - (w_s,i + w_s,j)/4 there.
+    excess = []
+    for i, j in EDGES:
+        e = xy[j] - xy[i]
+        along = 1.5 * (w[j] - w[i]) + 0.75 * (e @ (beta[i] + beta[j]))
+        excess.append(-jnp.outer(e, along) / (e @ e))
+
+    # The curvatures are linear, so that the rule of the three edge midpoints integrates BᵀDB exactly.
+    D = thickness**3 / 12.0 * plane_stress_matrix(young_modulus, poisson_ratio)
+    linear_part = jnp.einsum("ax,abf->xbf", gradients, beta)
+    stiffness = jnp.zeros((9, 9))
+    for p, q in EDGES:
+        N = [0.5 if a in (p, q) else 0.0 for a in range(3)]
+        slope = linear_part  # slope[x, b]: derivative by x of β_b
+        for (i, j), delta in zip(EDGES, excess, strict=True):
+            slope = slope + 4.0 * (N[i] * gradients[j] + N[j] * gradients[i])[:, None, None] * delta
+        B = jnp.stack([slope[0, 0], slope[1, 1], slope[0, 1] + slope[1, 0]])
+        stiffness = stiffness + B.T @ D @ B
+    stiffness = area / 3.0 * stiffness
+    return 0.5 * (stiffness + stiffness.T)

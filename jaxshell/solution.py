@@ -1,0 +1,73 @@
+"""What a run gives back: histories at every step, frames, and how it ended."""
+
+import equinox as eqx
+import jax
+from jaxtyping import Float, Int
+
+from jaxshell.scene import Scene
+
+
+class RESULTS(eqx.Enumeration):
+    """How a run ended; the text says what to do next."""
+
+    successful = ""
+    diverged = (
+        "Newton's iteration diverged. Reduce the time step, or use StepControl; "
+        "check loads and supports if it is the first step."
+    )
+    stagnated = (
+        "Newton's iteration did not reach the tolerance within max_iterations. "
+        "Reduce the time step, raise max_iterations, or loosen the tolerance."
+    )
+    singular = (
+        "The tangent stiffness is singular: the linear solver returned no usable solution. "
+        "Look for a mechanism (unsupported motion in statics, loose parts) or a far too large step."
+    )
+    step_too_small = "Step control reached its smallest step. Loosen the tolerance or lower `smallest`."
+    unstable = "The explicit method became unstable. Use a time step below the critical one."
+
+
+class Energy(eqx.Module):
+    """Energies at every step [force·length], each (k,)."""
+
+    kinetic: Float[jax.Array, " k"]
+    strain: Float[jax.Array, " k"]
+    external_work: Float[jax.Array, " k"]
+    """Work of the loads and of moving supports since the start."""
+    dissipated: Float[jax.Array, " k"]
+    """Energy that the method's numerical dissipation removed, where it accounts for it; zero otherwise."""
+
+    @property
+    def total(self) -> Float[jax.Array, " k"]:
+        """Kinetic plus strain energy."""
+        return self.kinetic + self.strain
+
+
+class Momentum(eqx.Module):
+    """Momenta at every step, each (k, 3), about the origin."""
+
+    linear: Float[jax.Array, "k 3"]
+    angular: Float[jax.Array, "k 3"]
+
+
+class Solution(eqx.Module):
+    """A run: histories at every step (k of them, the start first) and frames (f of them).
+
+    Units are the scene's. `result` says whether the run ended as asked; everything computed until then is here.
+    """
+
+    scene: Scene
+    times: Float[jax.Array, " k"]
+    watched: dict[str, Float[jax.Array, " k"]]
+    energy: Energy
+    momentum: Momentum
+    iterations: Int[jax.Array, " k"]
+    frame_times: Float[jax.Array, " f"]
+    displacements: Float[jax.Array, "f n 3"]
+    rotations: Float[jax.Array, "f n 3 3"]
+    velocities: Float[jax.Array, "f n 3"]
+    result: RESULTS
+    message: str = eqx.field(static=True)
+    """For a failed run: step, time and what to try; empty otherwise."""
+    stats: dict = eqx.field(static=True)
+    """Host-side figures: method and its parameters, wall time, compile time, steps, iterations, solver, ..."""
