@@ -15,7 +15,9 @@ ALPHA_B = 1.5  # lumping of the edge tractions to the drilling freedoms
 BETA_0_MINIMUM = 0.01
 
 
-def plane_stress_matrix(young_modulus: Float[Array, ""], poisson_ratio: Float[Array, ""]) -> Float[Array, "3 3"]:
+def plane_stress_matrix(
+    young_modulus: Float[Array, ""], poisson_ratio: Float[Array, ""]
+) -> Float[Array, "3 3"]:
     """Isotropic plane-stress matrix C, (σxx, σyy, τxy) = C (εxx, εyy, γxy) [units of E]."""
     nu = jnp.asarray(poisson_ratio)
     zero, one = jnp.zeros_like(nu), jnp.ones_like(nu)
@@ -57,9 +59,9 @@ def membrane_stiffness(
     def lumping(xij, yij, xjk, yjk, xki, yki):
         """Rows of L for the corner that edge ij faces; jk follows it, ki precedes it."""
         drill = [
-            ALPHA_B / 6.0 * yij * (yjk - yki),
-            ALPHA_B / 6.0 * xij * (xjk - xki),
-            -ALPHA_B / 3.0 * (xjk * yjk - xki * yki),
+            ALPHA_B / 6.0 * yij * (yki - yjk),
+            ALPHA_B / 6.0 * xij * (xki - xjk),
+            ALPHA_B / 3.0 * (xki * yki - xjk * yjk),
         ]
         return [[yij, zero, -xij], [zero, -xij, yij], drill]
 
