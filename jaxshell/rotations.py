@@ -26,7 +26,7 @@ def skew(v: Vector) -> Matrix:
 
 
 def axial(W: Matrix) -> Vector:
-    """The axial vector of the skew part of W, ½ [W32-W23, W13-W31, W21-W12] (eq. (5)): `axial(skew(v)) == v`."""
+    """Axial vector of the skew part of W, ½ [W32-W23, W13-W31, W21-W12] (eq. (5)): `axial(skew(v)) == v`."""
     return 0.5 * jnp.stack([W[2, 1] - W[1, 2], W[0, 2] - W[2, 0], W[1, 0] - W[0, 1]])
 
 
@@ -50,7 +50,7 @@ def _horner(coefficients, x):
 
 
 def _safe_angle(theta_sq):
-    """θ where the closed form is used, 1 where the series is: the unused branch then has finite derivatives."""
+    """θ where the closed form is used, 1 where the series is: so the unused branch has finite derivatives."""
     return jnp.sqrt(jnp.where(theta_sq < _SWITCH, 1.0, theta_sq))
 
 
@@ -101,11 +101,7 @@ def mu(theta_sq: Scalar) -> Scalar:
 
 def _compose(a, b, c, v: Vector) -> Matrix:
     """a I + b ~v + c v vᵀ."""
-    x, y, z = v[0], v[1], v[2]
-    bx, by, bz, cx, cy, cz = b * x, b * y, b * z, c * x, c * y, c * z
-    xy, yz, zx = cx * y, cy * z, cz * x
-    entries = [a + cx * x, xy - bz, zx + by, xy + bz, a + cy * y, yz - bx, zx - by, yz + bx, a + cz * z]
-    return jnp.stack(entries).reshape(3, 3)
+    return a * jnp.eye(3) + b * skew(v) + c * jnp.outer(v, v)
 
 
 def exp(theta: Vector) -> Matrix:
@@ -153,15 +149,14 @@ def log(R: Matrix) -> Vector:
 
     scale = 0.5 / jnp.sqrt(select(*(rows[i][i] for i in range(4))))
     w, x, y, z = (select(*(row[j] for row in rows)) * scale for j in range(4))
-    scale = jnp.where(w < 0.0, -1.0, 1.0)  # q and -q are the same rotation: take the one with θ ≤ π
-    w = w * scale
+    sign = jnp.where(w < 0.0, -1.0, 1.0)  # q and -q are the same rotation: take the one with θ ≤ π
     # θ = 2 f v with f = (θ/2)/sin(θ/2), a smooth function of w = cos(θ/2) down to w = 0 and beyond. Halving
     # the angle twice leaves the classical series  arcsin(√s)/√(s(1-s)) = Σ 4ᵏ(k!)²/(2k+1)! sᵏ
     # with s = sin²(θ/16) ≤ 0.038: no arc function, and no branch at θ = 0.
-    cos_quarter = jnp.sqrt(0.5 + 0.5 * w)
+    cos_quarter = jnp.sqrt(0.5 + 0.5 * sign * w)
     cos_eighth = jnp.sqrt(0.5 + 0.5 * cos_quarter)
     f = _horner(_LOG_SERIES, 0.5 - 0.5 * cos_eighth) / (cos_quarter * cos_eighth)
-    return (2.0 * f * scale) * jnp.stack([x, y, z])
+    return (2.0 * f * sign) * jnp.stack([x, y, z])
 
 
 def H(theta: Vector) -> Matrix:

@@ -60,7 +60,7 @@ def bending_stiffness(
         N = [0.5 if a in (p, q) else 0.0 for a in range(3)]
         slope = linear_part  # slope[x, b]: derivative by x of β_b
         for (i, j), delta in zip(EDGES, excess, strict=True):
-            slope = slope + 4.0 * (N[i] * gradients[j] + N[j] * gradients[i])[:, None, None] * delta
+            slope = slope + 4.0 * jnp.einsum("x,bf->xbf", N[i] * gradients[j] + N[j] * gradients[i], delta)
         B = jnp.stack([slope[0, 0], slope[1, 1], slope[0, 1] + slope[1, 0]])
         stiffness = stiffness + B.T @ D @ B
     stiffness = area / 3.0 * stiffness

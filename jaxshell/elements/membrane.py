@@ -73,7 +73,7 @@ def membrane_stiffness(
 
     # Hierarchical corner rotations: drilling rotations less the mean rotation of the corners' displacements.
     mean_rotation = jnp.array([x32, y32, zero, x13, y13, zero, x21, y21, zero]) / (4.0 * area)
-    T_theta_u = jnp.eye(9)[2::3] + mean_rotation
+    T_theta_u = jnp.eye(9)[2::3] + mean_rotation[None, :]
 
     # Cartesian strains from the natural strains along the edges 21, 32, 13.
     edge_sq = jnp.array([x21**2 + y21**2, x32**2 + y32**2, x13**2 + y13**2])
@@ -84,7 +84,7 @@ def membrane_stiffness(
             [y23 * x31 + x32 * y13, y31 * x12 + x13 * y21, y12 * x23 + x21 * y32],
         ]
     )
-    T_e = T_e * edge_sq / (4.0 * area**2)
+    T_e = T_e * edge_sq[None, :] / (4.0 * area**2)
     C_natural = T_e.T @ C @ T_e
 
     # Natural strains from the hierarchical rotations, at the corners (Q1, Q2, Q3; they add to zero, where the

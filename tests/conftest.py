@@ -1,0 +1,5 @@
+"""Settings that every test runs under."""
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
