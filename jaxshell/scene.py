@@ -57,6 +57,10 @@ class Defaults(NamedTuple):
     picture_times: tuple[float, ...] = ()
     methods: tuple[tuple[str, float, float], ...] = (("EMC", 1.0, 0.0),)
     """(name, spectral_radius, dissipation) of each of the paper's runs; the first is the default."""
+    units: str = ""
+    """"SI" puts units (s, m, J, ...) on the pictures' axes; empty leaves them plain."""
+    axes: tuple[tuple[str, float, str], ...] = ()
+    """(watch label, divisor, axis label) of watched quantities that pictures show as multiples of something."""
 
 
 class Scene(eqx.Module):

@@ -24,6 +24,7 @@ class RESULTS(eqx.Enumeration):
         "Look for a mechanism (unsupported motion in statics, loose parts) or a far too large step."
     )
     step_too_small = "Step control reached its smallest step. Loosen the tolerance or lower `smallest`."
+    interrupted = "The run was stopped before its end; what it had computed is kept."
     unstable = "The explicit method became unstable. Use a time step below the critical one."
 
 
@@ -71,3 +72,19 @@ class Solution(eqx.Module):
     """For a failed run: step, time and what to try; empty otherwise."""
     stats: dict = eqx.field(static=True)
     """Host-side figures: method and its parameters, wall time, compile time, steps, iterations, solver, ..."""
+
+    def save(self, path) -> None:
+        """Write the run and its scene to an HDF5 file; an existing file is replaced."""
+        from jaxshell import storage  # which imports this file
+
+        storage.save_solution(self, path)
+
+    @classmethod
+    def load(cls, path) -> "Solution":
+        """Read a file that `save` or `simulate(output=...)` wrote; of a run that was killed, what it had written.
+
+        Raises FileNotFoundError, or ValueError for a file that is not ours, of another schema, or damaged.
+        """
+        from jaxshell import storage
+
+        return storage.load_solution(path)

@@ -45,6 +45,9 @@ def spherical_cap(divisions: int = 10, force: float = 444.8, thickness: float = 
             t_end=1e-3,
             picture_times=(0.0, 5e-5, 1e-4, 1.25e-4, 1.5e-4, 2e-4),
             methods=(("EMC", 1.0, 0.0), ("EDMC1", 0.8, 0.0), ("EDMC2", 1.0, 0.05)),
+            units="SI",
+            # H as the paper gives it; R (1 - cos 10.9°) is 0.002181 m.
+            axes=(("apex", -0.002182, "Deflection w_A / H"),),
         ),
     )
 
@@ -88,6 +91,7 @@ def free_plate(divisions: tuple[int, int] = (15, 3), loads: Sequence[Load] | Non
             t_end=0.1,
             picture_times=tuple(0.004 * k for k in range(11)),
             methods=(("EMC", 1.0, 0.0), ("EDMC1", 0.95, 0.0), ("EDMC2", 1.0, 0.02)),
+            units="SI",
         ),
     )
 
@@ -122,6 +126,7 @@ def opened_cap(divisions: tuple[int, int] = (48, 10), force: float = 1.0, thickn
             t_end=5.0,
             picture_times=(0.0, 1.0, 2.0, 2.2, 2.5, 3.0, 4.0, 5.0),
             methods=(("EMC", 1.0, 0.0), ("EDMC1", 0.8, 0.0), ("EDMC2", 1.0, 0.2)),
+            units="SI",
         ),
     )
 
