@@ -3,12 +3,12 @@
 `Pardiso` (oneMKL, x86-64), `KLU` (SuiteSparse, every platform) and `Dense` (LAPACK or the device's own LU).
 The matrix is CSR with a fixed, structurally symmetric `SparsityPattern`; its values need not be symmetric.
 
-    handle = solver.prepare(pattern)                              # once, on the host: ordering, symbolic analysis
+    handle = solver.prepare(pattern)                              # once, on the host: symbolic analysis
     x, factorization = solver.factor_and_solve(handle, values, b) # LU and substitution, one native call
-    x = solver.solve(handle, factorization, values, b)            # substitution only, with the LU kept from before
-    x = linear_solve(solver, handle, values, b)                   # the same x, with jvp and vjp
+    x = solver.solve(handle, factorization, values, b)            # substitution only, with the kept LU
+    x = linear_solve(solver, handle, values, b)                   # x with jvp and vjp, keeping no LU
 
-Pass `handle` into compiled functions as an argument: index arrays that are constants cost XLA seconds to fold.
+Pass `handle` into compiled functions as an argument: XLA may fold index arrays that are constants for seconds.
 
 **Kept factorizations.** Pardiso and KLU keep the LU in native memory, one slot a handle, and overwrite it in
 place. A factorization in JAX is a scalar that names the slot and orders a `solve` after the `factor` it came
@@ -20,12 +20,13 @@ Why in place: pardiso_mkl_jax also offers `factor`, which names an LU by a hash 
 0.24 / 0.68 / 4.9 / 37 ms, and it retires the analysis it started from, so that every further call of a
 compiled program would analyse again (30 to 120 ms).
 
-**Singular matrices** do not raise in Pardiso (it perturbs the pivot) or Dense: x comes back huge or not finite, and
-`relative_residual` is then far above round-off. KLU raises out of the compiled program when it meets a pivot
+**Singular matrices** do not raise in Pardiso (it perturbs the pivot) or Dense: x comes back huge or not finite,
+and `relative_residual` is then far above round-off. KLU raises out of the compiled program when it meets a pivot
 that is exactly zero. Values that are not finite give an x that is not finite, with all three.
 """
 
 import abc
+import concurrent.futures
 import functools
 import importlib
 import importlib.util
@@ -86,7 +87,7 @@ class LinearSolver(eqx.Module):
         """
 
     def factor(self, handle: Handle, values: Float[Array, " m"]) -> Any:
-        """Factor alone. Costs a substitution more than needed: prefer `factor_and_solve` with a rhs in hand."""
+        """Factor alone. Costs a substitution too, of zeros: prefer `factor_and_solve` with a rhs in hand."""
         return self.factor_and_solve(handle, values, jnp.zeros(handle.size, values.dtype))[1]
 
     @abc.abstractmethod
@@ -214,7 +215,7 @@ class KLU(LinearSolver):
 class Dense(LinearSolver):
     """A dense LU: works on any device and under every transformation, and costs n^3. For small systems.
 
-    Slower than Pardiso already at 24 unknowns on one CPU core (0.06 against 0.02 ms; 343 against 4.9 at 3168).
+    Slower than Pardiso already at 24 unknowns on a CPU core (0.06 against 0.02 ms; 343 against 4.9 at 3168).
     """
 
     def _analyse(self, pattern):
@@ -263,7 +264,7 @@ def multiply(handle: Handle, values: Float[Array, " m"], x: Float[Array, " n"]) 
 def relative_residual(
     handle: Handle, values: Float[Array, " m"], x: Float[Array, " n"], rhs: Float[Array, " n"]
 ) -> Scalar:
-    """|K x - b| / |b| (Euclidean; 0 where b is 0): round-off for a regular matrix, near 1 or NaN for a singular."""
+    """|K x - b| / |b| (Euclidean; 0 where b is 0): round-off for a regular matrix, not so for a singular."""
     norm = jnp.linalg.norm(rhs)
     error = jnp.linalg.norm(multiply(handle, values, x) - rhs)
     return jnp.where(norm > 0.0, error / jnp.where(norm > 0.0, norm, 1.0), error)
@@ -354,20 +355,25 @@ def _pardiso_options() -> dict[str, Any]:
 
 @functools.cache
 def _klujax():
-    # klujax sets two global options when it is imported; both get their old values back.
-    before = {name: jax.config.values[name] for name in ("jax_enable_x64", "jax_platform_name")}
-    try:
-        return importlib.import_module("klujax")
-    finally:
-        for name, value in before.items():
-            jax.config.update(name, value)
+    # klujax sets two global options when it is imported; both get their old values back. In a thread of its
+    # own, since only there the global value shows: here a `with jax.enable_x64(True):` may hide it.
+    def load():
+        before = {name: jax.config.values[name] for name in ("jax_enable_x64", "jax_platform_name")}
+        try:
+            return importlib.import_module("klujax")
+        finally:
+            for name, value in before.items():
+                jax.config.update(name, value)
+
+    with concurrent.futures.ThreadPoolExecutor(1) as thread:
+        return thread.submit(load).result()
 
 
 def _require_package(module: str, solver: str, install: str) -> None:
     if importlib.util.find_spec(module) is None:
         raise ImportError(
-            f"{solver}() needs the package {module}, which is not installed: run `{install}`, or choose another"
-            " solver (default_solver() names one that is installed; Dense() needs no package)"
+            f"{solver}() needs the package {module}, which is not installed: run `{install}`, or choose"
+            " another solver (default_solver() names one that is installed; Dense() needs no package)"
         )
 
 

@@ -41,10 +41,10 @@ _SINE_SERIES, _COSINE_SERIES, _REMAINDER_SERIES = (
 )
 
 
-def _horner(coefficients, x):
+def _horner(coefficients: list[float], x: Scalar) -> Scalar:
     """Σ coefficients[k] xᵏ."""
-    total = coefficients[-1]
-    for coefficient in coefficients[-2::-1]:
+    total = coefficients[-1] * x + coefficients[-2]
+    for coefficient in coefficients[-3::-1]:
         total = total * x + coefficient
     return total
 

@@ -1,5 +1,7 @@
 """What a run gives back: histories at every step, frames, and how it ended."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 from jaxtyping import Float, Int
@@ -51,6 +53,13 @@ class Momentum(eqx.Module):
     angular: Float[jax.Array, "k 3"]
 
 
+class Stats(dict):
+    """A dict of figures that hashes by content, so that it can stand in the static part of a solution."""
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self.items()))
+
+
 class Solution(eqx.Module):
     """A run: histories at every step (k of them, the start first) and frames (f of them).
 
@@ -70,8 +79,10 @@ class Solution(eqx.Module):
     result: RESULTS
     message: str = eqx.field(static=True)
     """For a failed run: step, time and what to try; empty otherwise."""
-    stats: dict = eqx.field(static=True)
-    """Host-side figures: method and its parameters, wall time, compile time, steps, iterations, solver, ..."""
+    stats: "Stats" = eqx.field(static=True)
+    """Host-side figures: method and its parameters, wall time, steps, iterations, factorizations, solver, ..."""
+    state: Any = None
+    """The method's state at the end, from which `simulate(restart=...)` goes on; not kept in files."""
 
     def save(self, path) -> None:
         """Write the run and its scene to an HDF5 file; an existing file is replaced."""

@@ -72,8 +72,8 @@ def membrane_stiffness(
     basic = L @ C @ L.T / volume
 
     # Hierarchical corner rotations: drilling rotations less the mean rotation of the corners' displacements.
-    mean_rotation = jnp.array([x32, y32, zero, x13, y13, zero, x21, y21, zero]) / (4.0 * area)
-    T_theta_u = jnp.eye(9)[2::3] + mean_rotation[None, :]
+    mean_rotation = jnp.array([x23, y23, zero, x31, y31, zero, x12, y12, zero]) / (4.0 * area)
+    T_theta_u = jnp.eye(9)[2::3] - mean_rotation[None, :]
 
     # Cartesian strains from the natural strains along the edges 21, 32, 13.
     edge_sq = jnp.array([x21**2 + y21**2, x32**2 + y32**2, x13**2 + y13**2])

@@ -1,0 +1,43 @@
+"""jaxshell: a differentiable solver for the nonlinear dynamics of thin shells with finite rotations, in JAX."""
+
+from jaxshell import scenes
+from jaxshell.linear_solver import KLU, Dense, Pardiso
+from jaxshell.loads import EdgeForce, Gravity, History, NodalForce, NodalMoment, Pressure
+from jaxshell.mesh import Mesh, structured_triangles
+from jaxshell.methods import GeneralizedEnergyMomentum
+from jaxshell.newton import Newton
+from jaxshell.scene import Initial, Scene
+from jaxshell.section import Section
+from jaxshell.simulate import SimulationError, simulate
+from jaxshell.solution import RESULTS, Energy, Momentum, Solution
+from jaxshell.supports import Support, clamped, pinned, symmetry
+
+__all__ = [
+    "KLU",
+    "RESULTS",
+    "Dense",
+    "EdgeForce",
+    "Energy",
+    "GeneralizedEnergyMomentum",
+    "Gravity",
+    "History",
+    "Initial",
+    "Mesh",
+    "Momentum",
+    "Newton",
+    "NodalForce",
+    "NodalMoment",
+    "Pardiso",
+    "Pressure",
+    "Scene",
+    "Section",
+    "SimulationError",
+    "Solution",
+    "Support",
+    "clamped",
+    "pinned",
+    "scenes",
+    "simulate",
+    "structured_triangles",
+    "symmetry",
+]

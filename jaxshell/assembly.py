@@ -1,0 +1,128 @@
+"""From elements to the structure: gather tables made once, and sums that need no scatter.
+
+Each entry of the global residual or matrix is a sum over a few element entries. Their positions are known, so
+the sum is a handful of gathers over targets sorted by their number of contributions: contiguous, vectorised,
+deterministic, and without the write conflicts that make scatters slow.
+"""
+
+import functools
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxshell.frozen import Frozen
+from jaxshell.sparsity import SparsityPattern
+
+_GATHERED = 8
+"""Contributions per target summed by gathers; the rest, at hubs of a mesh only, by a scatter."""
+
+
+class GatherSum(eqx.Module):
+    """Sums of entries: `target[i] = Σ source[k]` over the k that belong to i."""
+
+    layers: tuple[Int[Array, " k"], ...]
+    """Layer j: the j-th contribution of those targets that have one, targets in descending order of count."""
+    order: Int[Array, " size"]
+    """Position of each target in that order."""
+    extra: tuple[Int[Array, " e"], Int[Array, " e"]] | None
+    """(source, target position) beyond the gathered layers."""
+
+    @classmethod
+    def build(cls, targets: np.ndarray, sources: np.ndarray, size: int) -> "GatherSum":
+        """From pairs (target, source); every target in range(size) needs at least one source."""
+        by_target = np.argsort(targets, kind="stable")
+        targets, sources = targets[by_target], sources[by_target]
+        count = np.bincount(targets, minlength=size)
+        if size and count.min() == 0:
+            raise ValueError(f"Entry {int(np.argmin(count))} of the assembly has no contribution.")
+        rank = np.arange(targets.size) - np.repeat(np.cumsum(count) - count, count)
+        descending = np.argsort(-count, kind="stable")
+        order = np.empty(size, np.int64)
+        order[descending] = np.arange(size)
+        layers, position = [], order[targets]
+        for j in range(min(_GATHERED, int(count.max(initial=0)))):
+            chosen = rank == j
+            layer = np.empty(chosen.sum(), np.int64)
+            layer[position[chosen]] = sources[chosen]
+            layers.append(_indices(layer))
+        beyond = rank >= _GATHERED
+        extra = (_indices(sources[beyond]), _indices(position[beyond])) if beyond.any() else None
+        return cls(tuple(layers), _indices(order), extra)
+
+    def __call__(self, source: Float[Array, "s *rest"]) -> Float[Array, "size *rest"]:
+        total = source[self.layers[0]]
+        for layer in self.layers[1:]:
+            head = total[: layer.shape[0]] + source[layer]
+            total = jax.lax.dynamic_update_slice_in_dim(total, head, 0, axis=0)
+        if self.extra is not None:
+            total = total.at[self.extra[1]].add(source[self.extra[0]])
+        return total[self.order]
+
+
+class Tables(eqx.Module):
+    """Index arrays of one structure (connectivity and held freedoms), passed to compiled programs as arguments."""
+
+    triangles: Int[Array, "m 3"]
+    nodal: GatherSum
+    """(m·3, ...) element corners → (n, ...) nodes."""
+    matrix: GatherSum
+    """(m·324,) element matrix entries → values of the sparse matrix over the free freedoms."""
+    free: Int[Array, " nf"]
+    """Numbers 6·node + dof of the free freedoms."""
+    held: Int[Array, " nh"]
+    place: Int[Array, " n6"]
+    """Where each freedom stands in [free, held]."""
+
+
+class Structure(NamedTuple):
+    """Static: what the sparsity depends on."""
+
+    triangles: Frozen
+    n_nodes: int
+    held: Frozen
+
+
+@functools.lru_cache(maxsize=32)
+def analyse(structure: Structure) -> tuple[Tables, SparsityPattern]:
+    """Tables and sparsity pattern of a structure; done once, kept for later runs of the same structure."""
+    triangles, n_nodes = structure.triangles.array, structure.n_nodes
+    n_dofs, held = 6 * n_nodes, structure.held.array
+    is_free = np.ones(n_dofs, bool)
+    is_free[held] = False
+    free = np.flatnonzero(is_free)
+    if free.size == 0:
+        raise ValueError("Every freedom is held by a support: there is nothing to compute.")
+    number = np.full(n_dofs, -1)
+    number[free] = np.arange(free.size)
+    place = np.empty(n_dofs, np.int64)
+    place[free], place[held] = np.arange(free.size), free.size + np.arange(held.size)
+
+    dofs = number[(6 * triangles[:, :, None] + np.arange(6)).reshape(-1, 18)]
+    rows = np.repeat(dofs, 18, axis=1).ravel()
+    columns = np.tile(dofs, (1, 18)).ravel()
+    sources = np.flatnonzero((rows >= 0) & (columns >= 0))
+    keys = rows[sources].astype(np.int64) * free.size + columns[sources]
+    entries, targets = np.unique(keys, return_inverse=True)
+    indptr = np.concatenate([[0], np.cumsum(np.bincount(entries // free.size, minlength=free.size))])
+    pattern = SparsityPattern(free.size, Frozen(indptr), Frozen(entries % free.size))
+
+    # Concrete also while an outer transformation traces: tables are data, never part of the traced program.
+    with jax.ensure_compile_time_eval():
+        corners = triangles.ravel()
+        tables = Tables(
+            _indices(triangles),
+            GatherSum.build(corners, np.arange(corners.size), n_nodes),
+            GatherSum.build(targets.ravel(), sources, entries.size),
+            _indices(free),
+            _indices(held),
+            _indices(place),
+        )
+    return tables, pattern
+
+
+def _indices(array: np.ndarray) -> Array:
+    return jnp.asarray(array, dtype=jnp.int32)

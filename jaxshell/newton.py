@@ -1,0 +1,207 @@
+"""Newton's iteration for one step: a `lax.while_loop` that stops as soon as it has said enough.
+
+Corrections are measured in the shell's own scale: displacements over the diagonal of its bounding box, and
+rotations in radians; the largest entry counts. The iteration ends when the correction that WOULD follow is
+predicted below the tolerance, from the contraction seen so far or from the residual, so that no solve is
+spent only to see that it was small. A failed iteration is a result with its numbers, never a NaN.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxshell.checks import check_positive
+from jaxshell.linear_solver import Handle, LinearSolver, linear_solve
+
+SUCCESSFUL, DIVERGED, STAGNATED, SINGULAR, STEP_TOO_SMALL, UNSTABLE = (np.int32(k) for k in range(6))
+"""Result codes inside compiled programs, in the order of `jaxshell.RESULTS`."""
+
+_ROUND_OFF = 1e-14
+"""A residual below this part of the forces in balance is noise."""
+_RESIDUAL_SAFETY = 0.1
+"""The correction scales with the residual only roughly: ask for ten times less."""
+_GIVE_UP = 1e3
+"""Diverged: a correction this many times the shell's size (or radians)."""
+
+
+class Problem(NamedTuple):
+    """The equations of a step as functions of the free increments (nf,)."""
+
+    balance: Callable
+    """→ `jaxshell.methods.base.Balance`."""
+    matrix: Callable
+    """→ values of the sparse tangent."""
+    free: Callable
+    """(n, 6) → its free entries."""
+
+
+class Linear(NamedTuple):
+    """A linear solver and its prepared pattern."""
+
+    solver: LinearSolver
+    handle: Handle
+
+    def memory(self, newton: "Newton") -> "Memory":
+        """Memory before the first step."""
+        kept = self.handle.indices.shape if newton.reuse else (0,)
+        return Memory(self.solver.initial_factorization(self.handle), jnp.zeros(kept), jnp.array(True))
+
+
+class Memory(eqx.Module):
+    """What one step's Newton leaves to the next: a factorization, and whether it still contracts well."""
+
+    factorization: Any
+    values: Float[Array, " m"]
+    """The matrix that was factored, where factorizations are reused."""
+    stale: Bool[Array, ""]
+    """The factorization must not be used again."""
+
+
+class Solved(NamedTuple):
+    free: Float[Array, " nf"]
+    result: Int[Array, ""]
+    iterations: Int[Array, ""]
+    factorizations: Int[Array, ""]
+    correction: Float[Array, ""]
+    memory: Memory
+
+
+class _Carry(NamedTuple):
+    free: Float[Array, " nf"]
+    done: Bool[Array, ""]
+    result: Int[Array, ""]
+    iterations: Int[Array, ""]
+    factorizations: Int[Array, ""]
+    correction: Float[Array, ""]
+    error: Float[Array, ""]
+    memory: Memory
+
+
+class Newton(eqx.Module):
+    """How a step's nonlinear equations are solved.
+
+    Arguments:
+        tolerance: of the scaled correction (part of the shell's size, radians); with criterion="norm" of the
+            Euclidean norm of the raw correction ‖ΔQ‖, in the user's units.
+        max_iterations: corrections allowed in a step.
+        max_rotation: a correction is scaled down so that no nodal rotation in it exceeds this [rad].
+        reuse: keep a factorization over iterations and steps while it contracts well (chord Newton).
+        criterion: "predicted" (the correction that would follow) or "norm" (‖ΔQ‖ of the last one, as the paper
+            does with 1e-6).
+
+    Raises ValueError for values that are not positive and unknown criteria.
+    """
+
+    tolerance: float = 1e-8
+    max_iterations: int = eqx.field(static=True, default=25)
+    max_rotation: float = 0.3
+    reuse: bool = eqx.field(static=True, default=False)
+    criterion: str = eqx.field(static=True, default="predicted")
+
+    def __check_init__(self):
+        check_positive("Newton tolerance", self.tolerance)
+        check_positive("Newton max_rotation", self.max_rotation)
+        check_positive("Newton max_iterations", self.max_iterations)
+        if self.criterion not in ("predicted", "norm"):
+            raise ValueError(f'Newton criterion must be "predicted" or "norm", but it is {self.criterion!r}.')
+
+    def solve(self, problem: Problem, guess, size, rotates, linear: Linear, memory: Memory) -> Solved:
+        """Iterate from `guess` (nf,). `size` [length] and the mask `rotates` (nf,) scale the corrections.
+
+        Not to be differentiated: see `attach_derivative`.
+        """
+        scale = jnp.where(rotates, 1.0, 1.0 / size)
+
+        def relative(balance):
+            """Largest residual over the largest force in balance, for forces and moments apart."""
+            r = problem.free(balance.residual)
+            force = jnp.where(balance.force > 0, balance.force, 1.0)
+            moment = jnp.where(balance.moment > 0, balance.moment, 1.0)
+            return r, jnp.max(jnp.abs(r) / jnp.where(rotates, moment, force))
+
+        def advance(c: _Carry, r, error):
+            def anew():
+                values = problem.matrix(c.free)
+                step, factorization = linear.solver.factor_and_solve(linear.handle, values, -r)
+                return step, factorization, values
+
+            def again():
+                kept = c.memory
+                step = linear.solver.solve(linear.handle, kept.factorization, kept.values, -r)
+                return step, kept.factorization, kept.values
+
+            if self.reuse:
+                step, factorization, values = lax.cond(c.memory.stale, anew, again)
+                fresh = c.memory.stale
+            else:
+                (step, factorization, _), values, fresh = anew(), c.memory.values, jnp.array(True)
+            turn = jnp.max(jnp.where(rotates, jnp.abs(step), 0.0), initial=0.0)
+            damping = jnp.minimum(1.0, self.max_rotation / jnp.where(turn > 0, turn, 1.0))
+            damping = jnp.where(turn > 0, damping, 1.0)
+            length = jnp.max(jnp.abs(scale * step))
+            whole = damping == 1.0
+            # Contraction: quadratic where the tangent is of this iterate and the last, else linear.
+            q = jnp.where(jnp.isfinite(c.correction), length / c.correction, 1.0)
+            if self.reuse:
+                predicted = length * q / jnp.maximum(1.0 - q, 0.1)
+                stale = (q > 0.25) & (c.iterations > 0)
+            else:
+                predicted = length * q * q
+                stale = jnp.array(True)
+            if self.criterion == "norm":
+                enough = jnp.linalg.norm(step) <= self.tolerance
+            else:
+                enough = (length <= self.tolerance) | ((q < 0.5) & (predicted <= self.tolerance))
+            bad = ~jnp.isfinite(length) | (length > _GIVE_UP)
+            result = jnp.where(bad, jnp.where(jnp.isfinite(length), DIVERGED, SINGULAR), SUCCESSFUL)
+            return _Carry(
+                jnp.where(bad, c.free, c.free + damping * step),
+                bad | (enough & whole),
+                result,
+                c.iterations + 1,
+                c.factorizations + fresh,
+                jnp.where(whole, length, jnp.inf),
+                error,
+                Memory(factorization, values, stale | bad),
+            )
+
+        def body(c: _Carry):
+            r, error = relative(problem.balance(c.free))
+            settled = error < _ROUND_OFF
+            if self.criterion == "predicted":
+                settled |= c.correction * error < _RESIDUAL_SAFETY * self.tolerance * c.error
+            broken = ~jnp.isfinite(error)
+            stop = c._replace(done=jnp.array(True), result=jnp.where(broken, DIVERGED, c.result))
+            return lax.cond(settled | broken, lambda: stop, lambda: advance(c, r, error))
+
+        zero = jnp.zeros((), jnp.int32)
+        start = _Carry(
+            guess, jnp.array(False), zero, zero, zero, jnp.array(jnp.inf), jnp.array(0.0), memory
+        )
+        end = lax.while_loop(lambda c: ~c.done & (c.iterations < self.max_iterations), body, start)
+        result = jnp.where(end.done, end.result, STAGNATED)
+        return Solved(end.free, result, end.iterations, end.factorizations, end.correction, end.memory)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def attach_derivative(solver, handle, free, residual, values):
+    """`free`, with the derivative of the solution of residual(free; parameters) = 0.
+
+    `residual` (nf,) and `values` (the matrix ∂residual/∂free) are evaluated at `free` with it held fixed. By
+    the implicit function theorem d free = -K⁻¹ d residual; where nothing is differentiated neither is used,
+    and XLA leaves them out.
+    """
+    return free
+
+
+@attach_derivative.defjvp
+def _implicit(solver, primals, tangents):
+    handle, free, _, values = primals
+    return free, -linear_solve(solver, handle, values, tangents[2])
