@@ -8,7 +8,8 @@ The matrix is CSR with a fixed, structurally symmetric `SparsityPattern`; its va
     x = solver.solve(handle, factorization, values, b)            # substitution only, with the kept LU
     x = linear_solve(solver, handle, values, b)                   # x with jvp and vjp, keeping no LU
 
-Pass `handle` into compiled functions as an argument: XLA may fold index arrays that are constants for seconds.
+Pass `handle` into compiled functions as an argument: XLA may spend seconds on index arrays
+that are constants.
 
 **Kept factorizations.** Pardiso and KLU keep the LU in native memory, one slot a handle, and overwrite it in
 place. A factorization in JAX is a scalar that names the slot and orders a `solve` after the `factor` it came
@@ -20,9 +21,9 @@ Why in place: pardiso_mkl_jax also offers `factor`, which names an LU by a hash 
 0.24 / 0.68 / 4.9 / 37 ms, and it retires the analysis it started from, so that every further call of a
 compiled program would analyse again (30 to 120 ms).
 
-**Singular matrices** do not raise in Pardiso (it perturbs the pivot) or Dense: x comes back huge or not finite,
-and `relative_residual` is then far above round-off. KLU raises out of the compiled program when it meets a pivot
-that is exactly zero. Values that are not finite give an x that is not finite, with all three.
+**Singular matrices** do not raise in Pardiso (it perturbs the pivot) or Dense: x comes back huge or not
+finite, and `relative_residual` is then far above round-off. KLU raises out of the compiled program when it
+meets a pivot that is exactly zero. Values that are not finite give an x that is not finite, with all three.
 """
 
 import abc

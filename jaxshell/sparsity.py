@@ -42,13 +42,13 @@ class SparsityPattern:
         if len(indices) and (indices.min() < 0 or indices.max() >= n):
             raise ValueError(f"columns must lie in 0..{n - 1}, not {indices.min()}..{indices.max()}")
         rows = self.rows
-        keys = rows * n + indices
-        if np.any(np.diff(keys) <= 0):
+        if np.any(np.diff(rows * n + indices) <= 0):
             raise ValueError("the columns of each row must be in ascending order and occur once")
-        missing = np.setdiff1d(np.arange(n) * (n + 1), keys)
-        if len(missing):
-            raise ValueError(f"the diagonal must be present; row {missing[0] // n} lacks its entry")
-        lonely = np.setdiff1d(indices * n + rows, keys)
-        if len(lonely):
+        has_diagonal = np.bincount(rows[rows == indices], minlength=n)
+        if not has_diagonal.all():
+            raise ValueError(f"the diagonal must be present; row {has_diagonal.argmin()} lacks its entry")
+        transposed = np.argsort(indices, kind="stable")  # the entries by columns, each column by rows
+        if not (np.array_equal(indices[transposed], rows) and np.array_equal(rows[transposed], indices)):
+            lonely = np.setdiff1d(indices * n + rows, rows * n + indices)
             i, j = divmod(int(lonely[0]), n)
             raise ValueError(f"the pattern must be structurally symmetric; ({j}, {i}) has no ({i}, {j})")
