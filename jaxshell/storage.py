@@ -32,7 +32,7 @@ from jaxshell.loads import History, Load
 from jaxshell.mesh import Mesh
 from jaxshell.scene import Defaults, Initial, Scene
 from jaxshell.section import Section
-from jaxshell.solution import RESULTS, Energy, Momentum, Solution
+from jaxshell.solution import RESULTS, Energy, Momentum, Solution, Stats
 from jaxshell.supports import Support
 
 FORMAT, SCHEMA = "jaxshell", 1
@@ -152,6 +152,7 @@ def load_solution(path) -> Solution:
             k = min(len(d) for group in (watched, energy, momentum, single) for d in group.values())
             f = min(len(frames[name]) for name in ("times", "displacements", "rotations", "velocities"))
             stats = json.loads(_text(file["stats"][()]) if "stats" in file else file.attrs["settings"])
+            stats = Stats(_tuples(stats))
             ended = "result" in file.attrs
             message = file.attrs["message"] if ended else ""
             result = getattr(RESULTS, file.attrs["result"] if ended else "interrupted")

@@ -5,7 +5,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxshell.scene import Scene
-from jaxshell.solution import RESULTS, Energy, Momentum, Solution
+from jaxshell.solution import RESULTS, Energy, Momentum, Solution, Stats
 
 
 def synthetic_solution(scene: Scene, steps: int = 12, save_every: int = 3, method: str = "EMC") -> Solution:
@@ -16,7 +16,7 @@ def synthetic_solution(scene: Scene, steps: int = 12, save_every: int = 3, metho
     x0 = np.asarray(scene.mesh.nodes)
     size = np.ptp(x0, axis=0).max()
     spin = frame_phase[:, None, None] * (0.3 + 0.1 * np.sin(7 * x0 / size))
-    shape = np.stack([0.2 * x0[:, 1], 0 * x0[:, 0], -0.1 - x0[:, 0] ** 2], 1)
+    shape = np.stack([0.2 * x0[:, 1], 0 * x0[:, 0], -0.1 * size - x0[:, 0] ** 2 / size], 1) / size
     displacements = size * frame_phase[:, None, None] * shape
     moved = np.interp(times, times[::save_every], displacements[:, 0, 2])
     watched = {
@@ -43,5 +43,5 @@ def synthetic_solution(scene: Scene, steps: int = 12, save_every: int = 3, metho
         velocities=jnp.asarray(np.gradient(displacements, times[::save_every], axis=0)),
         result=RESULTS.successful,
         message="",
-        stats={"method": method, "steps": steps},
+        stats=Stats(method=method, steps=steps),
     )

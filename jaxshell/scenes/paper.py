@@ -47,7 +47,7 @@ def spherical_cap(divisions: int = 10, force: float = 444.8, thickness: float = 
             methods=(("EMC", 1.0, 0.0), ("EDMC1", 0.8, 0.0), ("EDMC2", 1.0, 0.05)),
             units="SI",
             # H as the paper gives it; R (1 - cos 10.9°) is 0.002181 m.
-            axes=(("apex", -0.002182, "Deflection w_A / H"),),
+            axes=(("apex", -0.002182, "Deflection $w_A/H$"),),
         ),
     )
 

@@ -1,0 +1,235 @@
+"""The command `jaxshell`: run a scene, plot result files, list the scenes.
+
+Exit status: 0, or 1 when a run failed (what it finished is kept and drawn), 2 for bad input, 130 when stopped
+by the keyboard. JAX and matplotlib are imported when a command needs them, and float64 is switched on here.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+_RESULT_FILES = (".h5", ".hdf5")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status. Errors in the arguments leave through SystemExit(2)."""
+    options = _parser().parse_args(arguments)
+    try:
+        return options.command(options)
+    except KeyboardInterrupt:
+        print("jaxshell: stopped.", file=sys.stderr)
+        return 130
+    except (ValueError, OSError, ImportError) as error:
+        print(f"jaxshell: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="jaxshell", description="Nonlinear dynamics of thin shells with finite rotations."
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and leave")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", help="run a scene; write its results and pictures")
+    run.set_defaults(command=_run)
+    run.add_argument(
+        "scene", metavar="SCENE", help="a scene's name (see `jaxshell scenes`), a .toml or .h5 file"
+    )
+    run.add_argument(
+        "--method",
+        nargs="+",
+        metavar="NAME",
+        help="EMC, EDMC1, EDMC2, exact, or all of the paper's; several are drawn together (default: EMC)",
+    )
+    run.add_argument("--dt", type=float, help="time step (default: the scene's)")
+    run.add_argument("--t-end", type=float, help="duration (default: the scene's)")
+    run.add_argument(
+        "--save-every", type=int, metavar="N", help="steps between frames (default: the scene's)"
+    )
+    run.add_argument("--spectral-radius", type=float, metavar="RHO", help="in place of the method's")
+    run.add_argument("--dissipation", type=float, metavar="XI", help="in place of the method's")
+    run.add_argument("--tangent", choices=("closed_form", "autodiff"), help="default: closed_form")
+    run.add_argument(
+        "--output", type=Path, default=Path("."), metavar="DIR", help="where files go (default: here)"
+    )
+    run.add_argument("--no-plots", action="store_true", help="write the results only")
+    run.add_argument("--quiet", action="store_true", help="print errors only")
+
+    plot = commands.add_parser("plot", help="draw result files, several of them together")
+    plot.set_defaults(command=_plot)
+    plot.add_argument("files", nargs="+", type=Path, metavar="FILE.h5")
+    plot.add_argument(
+        "--output", type=Path, metavar="DIR", help="where pictures go (default: beside the file)"
+    )
+
+    scenes = commands.add_parser("scenes", help="list the scenes that `run` knows by name")
+    scenes.set_defaults(command=_scenes)
+    return parser
+
+
+class _Version(argparse.Action):
+    def __call__(self, parser, *_):
+        from jaxshell.storage import version
+
+        print(f"jaxshell {version()}")
+        parser.exit()
+
+
+# --- commands --------------------------------------------------------------------------------------------
+
+
+def _run(options: argparse.Namespace) -> int:
+    _use_float64()
+    from jaxshell.method_names import choose_methods, method_label, parse_method
+    from jaxshell.plotting import plot
+    from jaxshell.report import describe_run, describe_scene
+    from jaxshell.simulate import simulate
+    from jaxshell.solution import RESULTS
+
+    scene, settings, stem = _open_scene(options.scene)
+    names = options.method or settings.get("method", [])
+    names = [names] if isinstance(names, str) else names
+    given = [getattr(options, key) for key in ("spectral_radius", "dissipation")]
+    if "quoted_method" in settings and options.method is None and given == [None, None]:
+        method = parse_method(settings["quoted_method"])
+        methods = {method_label(method, scene): method}
+    else:
+        own = (
+            [None, None]
+            if options.method
+            else [settings.get(key) for key in ("spectral_radius", "dissipation")]
+        )
+        given = [mine if mine is not None else file for mine, file in zip(given, own, strict=True)]
+        methods = choose_methods(scene, names, *given)
+    dt, t_end = (_wanted(options, settings, scene, key) for key in ("dt", "t_end"))
+    save_every = _wanted(options, settings, scene, "save_every")
+    tangent = options.tangent or settings.get("tangent", "closed_form")
+
+    options.output.mkdir(parents=True, exist_ok=True)
+    say = (lambda *_: None) if options.quiet else print
+    say(describe_scene(scene))
+    solutions, failed = {}, []
+    for label, method in methods.items():
+        path = options.output / (f"{stem}.h5" if len(methods) == 1 else f"{stem}_{_file_part(label)}.h5")
+        try:
+            solution = simulate(
+                scene,
+                method,
+                dt=dt,
+                t_end=t_end,
+                save_every=save_every,
+                tangent=tangent,
+                throw=False,
+                progress=sys.stderr.isatty() and not options.quiet,
+                output=path,
+            )
+        except KeyboardInterrupt:
+            print(f"jaxshell: stopped; {path} holds what was computed until then.", file=sys.stderr)
+            return 130
+        solutions[label] = solution
+        say(describe_run(label, solution, path))
+        if not bool(solution.result == RESULTS.successful):
+            failed.append(label)
+            print(f"jaxshell: {label} failed. {solution.message}", file=sys.stderr)
+    if not options.no_plots:
+        for path in plot(solutions, options.output, stem):
+            say(f"  {path}")
+    return 1 if failed else 0
+
+
+def _plot(options: argparse.Namespace) -> int:
+    _use_float64()
+    from jaxshell.method_names import method_label, parse_method
+    from jaxshell.plotting import plot
+    from jaxshell.solution import Solution
+
+    loaded = {path: Solution.load(path) for path in options.files}
+    labels = []
+    for path, solution in loaded.items():
+        if solution.message:
+            print(f"jaxshell: {path}: {solution.message}", file=sys.stderr)
+        try:
+            labels.append(method_label(parse_method(solution.stats.get("method", "")), solution.scene))
+        except ValueError:
+            labels.append(path.stem)
+    if len(set(labels)) < len(labels):
+        labels = [path.stem for path in loaded]
+    if len(set(labels)) < len(labels):
+        labels = [str(path) for path in loaded]
+    first = options.files[0]
+    stem = first.stem if len(loaded) == 1 else f"{_common_stem(loaded)}_compared"
+    for path in plot(dict(zip(labels, loaded.values(), strict=True)), options.output or first.parent, stem):
+        print(path)
+    return 0
+
+
+def _scenes(options: argparse.Namespace) -> int:
+    from jaxshell.scenes import PAPER
+
+    width = max(len(name) for name in PAPER)
+    for name, make in PAPER.items():
+        print(f"{name:{width}}  {(make.__doc__ or '').splitlines()[0]}")
+    return 0
+
+
+# --- parts -----------------------------------------------------------------------------------------------
+
+
+def _use_float64() -> None:
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+
+
+def _open_scene(name: str):
+    """(scene, settings as a [run] table, stem of the files to write) of a name, a scene file or a result file."""
+    from jaxshell.scenes import PAPER
+
+    path = Path(name)
+    if name in PAPER:
+        return PAPER[name](), {}, name
+    if path.suffix == ".toml":
+        from jaxshell.scene_file import read_scene_file
+
+        return *read_scene_file(path), path.stem
+    if path.suffix in _RESULT_FILES:
+        from jaxshell.storage import read_scene, read_settings
+
+        settings = read_settings(path)
+        settings["quoted_method"] = settings.pop("method", "")
+        # Under another name, so that the results that are run again stay.
+        return read_scene(path), settings, f"{path.stem}_rerun"
+    raise ValueError(
+        f"There is no scene {name!r}. Choose out of {', '.join(PAPER)}, or name a .toml scene file "
+        "or an .h5 result file."
+    )
+
+
+def _wanted(options: argparse.Namespace, settings: dict, scene, key: str):
+    """A setting: from the command line, else from the file, else the scene's default."""
+    for value in (getattr(options, key), settings.get(key), getattr(scene.defaults, key, None)):
+        if value is not None:
+            return value
+    if key == "save_every":
+        return 1
+    raise ValueError(
+        f"The scene gives no {key}: add --{key.replace('_', '-')}, or {key} in the file's [run]."
+    )
+
+
+def _file_part(label: str) -> str:
+    """A method's label as part of a file's name."""
+    plain = label.replace("ρ∞", "rho").replace("ξ", "xi").replace(" = ", "").replace(", ", "_")
+    return "".join(c if c.isalnum() or c in "._-" else "_" for c in plain)
+
+
+def _common_stem(loaded: dict) -> str:
+    """What the files' names have in common, or else the scene's name."""
+    paths = list(loaded)
+    common = paths[0].stem
+    for path in paths[1:]:
+        while not path.stem.startswith(common):
+            common = common[:-1]
+    return common.rstrip("_-. ") or next(iter(loaded.values())).scene.name

@@ -1,0 +1,90 @@
+"""Short names of time integrators, as the command line, scene files and legends use them.
+
+EMC, EDMC1 and EDMC2 are the paper's (Yang & Xia 2014, section VI): `GeneralizedEnergyMomentum` with the spectral
+radius ρ∞ and dissipation ξ that the scene gives them; "exact" is `EnergyMomentum`.
+"""
+
+import ast
+from collections.abc import Sequence
+
+from jaxshell import methods
+from jaxshell.scene import Scene
+
+_PAPER = (("EMC", 1.0, 0.0), ("EDMC1", 0.8, 0.0), ("EDMC2", 1.0, 0.05))
+"""(name, ρ∞, ξ) where a scene does not say otherwise: those of the paper's first scene."""
+
+
+def choose_methods(
+    scene: Scene, names: Sequence[str], spectral_radius: float | None, dissipation: float | None
+) -> dict[str, methods.Method]:
+    """{label: method} for names such as ["EMC", "exact"], or ["all"] for all of the paper's.
+
+    No name is the scene's first. `spectral_radius` and `dissipation` replace the name's own, for one method.
+    Raises ValueError for an unknown name, and for parameters given to several methods.
+    """
+    named = _named(scene)
+    wanted = [name.lower() for name in names] or [next(iter(named))]
+    if "all" in wanted:
+        wanted = list(named)
+    wanted = list(dict.fromkeys(wanted))
+    for name in wanted:
+        if name != "exact" and name not in named:
+            choices = ", ".join([label for label, _, _ in named.values()] + ["exact", "all"])
+            raise ValueError(f"There is no method {name!r}. Choose out of {choices}.")
+    if len(wanted) > 1 and (spectral_radius is not None or dissipation is not None):
+        raise ValueError("A spectral radius or dissipation can be given for one method at a time.")
+    if wanted == ["exact"] and spectral_radius is not None:
+        raise ValueError("The exact method has no spectral radius; its dissipation is the parameter.")
+    found = {}
+    for name in wanted:
+        if name == "exact":
+            method = methods.EnergyMomentum(dissipation=dissipation or 0.0)
+        else:
+            _, radius, xi = named[name]
+            method = methods.GeneralizedEnergyMomentum(
+                spectral_radius=radius if spectral_radius is None else spectral_radius,
+                dissipation=xi if dissipation is None else dissipation,
+            )
+        found[method_label(method, scene)] = method
+    return found
+
+
+def method_label(method: methods.Method, scene: Scene) -> str:
+    """The short name of a method in a scene, or its class with the parameters that matter."""
+    kind = type(method).__name__
+    xi = float(getattr(method, "dissipation", 0.0))
+    if kind == "EnergyMomentum":
+        return f"exact, ξ = {xi:g}" if xi else "exact"
+    if kind != "GeneralizedEnergyMomentum":
+        return kind
+    radius = float(getattr(method, "spectral_radius", 1.0))
+    for label, *parameters in _named(scene).values():
+        if parameters == [radius, xi]:
+            return label
+    return f"EDMC, ρ∞ = {radius:g}, ξ = {xi:g}"
+
+
+def parse_method(text: str) -> methods.Method:
+    """The method that a file quotes, such as "GeneralizedEnergyMomentum(spectral_radius=1.0, ...)".
+
+    Raises ValueError for anything else.
+    """
+    try:
+        call = ast.parse(text, mode="eval").body
+        assert isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and not call.args
+        kind = getattr(methods, call.func.id)
+        # The text quotes names without quotation marks.
+        values = {
+            str(k.arg): k.value.id if isinstance(k.value, ast.Name) else ast.literal_eval(k.value)
+            for k in call.keywords
+        }
+        return kind(**values)
+    except (SyntaxError, AssertionError, AttributeError, TypeError, ValueError) as error:
+        raise ValueError(f"The method {text!r} is not one of this version of jaxshell.") from error
+
+
+def _named(scene: Scene) -> dict[str, tuple[str, float, float]]:
+    """{lower-case name: (label, ρ∞, ξ)}, the scene's own first."""
+    own = scene.defaults.methods if scene.defaults is not None else ()
+    named = {label.lower(): (label, float(radius), float(xi)) for label, radius, xi in own}
+    return named | {label.lower(): (label, r, xi) for label, r, xi in _PAPER if label.lower() not in named}

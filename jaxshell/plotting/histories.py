@@ -1,0 +1,131 @@
+"""Curves against time: watched quantities, energies and their balance, momenta; one or several runs."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from jaxshell.plotting.shapes import symmetry_planes
+from jaxshell.plotting.style import BLACK, BLUE, GREEN, PURPLE, VERMILLION, WIDTH, line, scaled, symmetry_note
+from jaxshell.scene import Scene
+from jaxshell.solution import Solution
+
+Runs = Mapping[str, Solution]
+
+
+def watched_figure(runs: Runs, kind: str) -> Figure | None:
+    """A panel for each watched displacement (`kind` "u") or velocity ("v"); None when none is watched."""
+    scene = next(iter(runs.values())).scene
+    watched = [(label, component) for label, _, component in scene.watch if component[0] == kind]
+    if not watched:
+        return None
+    figure, panels, seconds = _panels(runs, len(watched), 1, height=2.6 if len(watched) == 1 else 2.0)
+    for (label, component), panel in zip(watched, panels[:, 0], strict=True):
+        held = [(name, run) for name, run in runs.items() if label in run.watched]
+        divisor, text = _axis(scene, label, component, [run.watched[label] for _, run in held])
+        for position, (name, run) in enumerate(held):
+            panel.plot(run.times / seconds, run.watched[label] / divisor, label=name, **line(position))
+        panel.set_ylabel(text)
+    _legend(figure, panels[0, 0], runs)
+    return figure
+
+
+def energy_figure(runs: Runs) -> Figure:
+    """Above, kinetic, strain, total energy and external work, a panel for each run; below, the balance."""
+    scene = next(iter(runs.values())).scene
+    seconds, time_text = _time(runs)
+    figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
+    grid = figure.add_gridspec(2, len(runs), height_ratios=(1.6, 1))
+    largest = max(float(np.max(np.abs(run.energy.total))) for run in runs.values())
+    divisor, unit = scaled(scene, largest, "J")
+    top = None
+    for position, (name, run) in enumerate(runs.items()):
+        panel = top_panel = figure.add_subplot(grid[0, position], sharey=top)
+        top = top or top_panel
+        t, energy = run.times / seconds, run.energy
+        curves = [
+            (energy.kinetic, "kinetic K", BLUE, "--"),
+            (energy.strain, "strain S", VERMILLION, "-."),
+            (energy.total, "K + S", BLACK, "-"),
+            (energy.external_work, "external work W", GREEN, ":"),
+        ]
+        if np.any(energy.dissipated):
+            curves.append((energy.dissipated, "dissipated D", PURPLE, "--"))
+        for values, text, colour, dashes in curves:
+            panel.plot(t, values / divisor, label=text, color=colour, linestyle=dashes)
+        panel.set_title(name)
+        panel.tick_params(labelleft=position == 0)
+    assert top is not None
+    note = symmetry_note(len(symmetry_planes(scene)))
+    top.set_ylabel("Energy" + (f"{note}\n{unit.strip()}" if note else unit))
+    lines = {str(curve.get_label()): curve for axes in figure.axes for curve in axes.get_lines()}
+    figure.legend(lines.values(), lines.keys(), loc="outside upper center", ncols=len(lines))
+    below = figure.add_subplot(grid[1, :])
+    for position, (name, run) in enumerate(runs.items()):
+        error = energy_balance(run)
+        text = f"{name}: largest {100 * np.max(np.abs(error)):.2g} %".lstrip(": ")
+        below.plot(run.times / seconds, 100 * error, label=text, **line(position))
+    dissipates = any(np.any(run.energy.dissipated) for run in runs.values())
+    below.set_ylabel(f"K + S{' + D' if dissipates else ''} - W\nin % of largest K + S")
+    below.set_xlabel(time_text)
+    below.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(runs))
+    return figure
+
+
+def energy_balance(run: Solution) -> np.ndarray:
+    """(k,) change of K + S + D - W since the start, as a fraction of the largest K + S."""
+    energy = run.energy
+    balance = np.asarray(energy.total + energy.dissipated - energy.external_work)
+    largest = np.max(np.abs(np.asarray(energy.total)))
+    return (balance - balance[0]) / (largest if largest > 0 else 1.0)
+
+
+def momentum_figure(runs: Runs) -> Figure:
+    """Components of the linear and of the angular momentum about the origin, a panel each."""
+    scene = next(iter(runs.values())).scene
+    figure, panels, seconds = _panels(runs, 3, 2, height=1.6)
+    note = symmetry_note(len(symmetry_planes(scene)))
+    for column, (name, symbol, unit) in enumerate((("linear", "L", "N s"), ("angular", "J", "N m s"))):
+        values = [np.asarray(getattr(run.momentum, name)) for run in runs.values()]
+        divisor, unit = scaled(scene, max(float(np.max(np.abs(v))) for v in values), unit)
+        for row in range(3):
+            panel = panels[row, column]
+            for position, (label, run) in enumerate(runs.items()):
+                component = values[position][:, row] / divisor
+                panel.plot(run.times / seconds, component, label=label, **line(position))
+            panel.set_ylabel(f"${symbol}_{'xyz'[row]}${unit}")
+        panels[0, column].set_title(f"{name.capitalize()} momentum{note}")
+    _legend(figure, panels[0, 0], runs)
+    return figure
+
+
+def _panels(runs: Runs, rows: int, columns: int, height: float):
+    """A figure with a grid of panels over one time axis, and the divisor of times."""
+    seconds, time_text = _time(runs)
+    figure = Figure(figsize=(WIDTH, rows * height + 0.7), layout="constrained")
+    panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    for panel in panels[-1]:
+        panel.set_xlabel(time_text)
+    return figure, panels, seconds
+
+
+def _time(runs: Runs) -> tuple[float, str]:
+    scene, end = next(iter(runs.values())).scene, max(float(run.times[-1]) for run in runs.values())
+    divisor, unit = scaled(scene, end, "s")
+    return divisor, f"Time{unit}"
+
+
+def _axis(scene: Scene, label: str, component: str, values) -> tuple[float, str]:
+    """Divisor and axis label of a watched quantity: the scene's own where it names one."""
+    for own, divisor, text in () if scene.defaults is None else scene.defaults.axes:
+        if own == label:
+            return divisor, text
+    largest = max(float(np.max(np.abs(value))) for value in values)
+    divisor, unit = scaled(scene, largest, "m" if component[0] == "u" else "m/s")
+    return divisor, f"{label}, ${component[0]}_{component[1]}${unit}"
+
+
+def _legend(figure: Figure, panel, runs: Runs) -> None:
+    if len(runs) > 1:
+        lines = panel.get_legend_handles_labels()
+        figure.legend(*lines, loc="outside upper center", ncols=len(runs), handlelength=3)

@@ -1,0 +1,178 @@
+"""Deformed shapes in orthographic projection, true to scale, coloured by how far each point has moved."""
+
+import math
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+
+from jaxshell.plotting.style import WIDTH, scaled
+from jaxshell.scene import Scene
+from jaxshell.solution import Solution
+from jaxshell.supports import symmetry
+
+COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.15, 1, 256)))
+"""Perceptually uniform and monotone in grey; without its darkest end, in which edges and shades drown."""
+_AZIMUTH, _ELEVATION = math.radians(-60.0), math.radians(22.0)
+_MOST_PANELS = 6
+
+
+def shapes_figure(run: Solution, name: str = "") -> Figure:
+    """The deformed shell at the scene's picture times: a panel each, or one picture along its flight."""
+    scene = run.scene
+    chosen = _picture_frames(run)
+    times = np.asarray(run.frame_times)[chosen]
+    displacements = np.asarray(run.displacements)[chosen]
+    planes = symmetry_planes(scene)
+    shapes = [np.asarray(scene.mesh.nodes) + u for u in displacements]
+    distances = [np.linalg.norm(u, axis=1) for u in displacements]
+    triangles = _mirrored_triangles(scene.mesh.triangles, scene.mesh.n_nodes, 2 ** len(planes))
+    shapes = [_mirrored(shape, planes) for shape in shapes]
+    distances = [np.tile(distance, 2 ** len(planes)) for distance in distances]
+
+    largest = max(float(d.max()) for d in distances)
+    length, length_unit = scaled(scene, largest, "m")
+    colours = ScalarMappable(Normalize(0, largest / length if largest > 0 else 1.0), COLOUR_MAP)
+    seconds, time_unit = scaled(scene, float(run.frame_times[-1]), "s")
+    labels = [f"t = {t / seconds:.4g}{time_unit.replace(' in', '')}" for t in times]
+    projected = [_project(shape) for shape in shapes]
+    low = np.min([p[:, :2].min(0) for p in projected], axis=0)
+    high = np.max([p[:, :2].max(0) for p in projected], axis=0)
+    flies = _flies(np.asarray(scene.mesh.nodes), displacements)
+    rows, columns, height = (1, 1, 4.6) if flies else _grid(len(times), (high - low)[1] / (high - low)[0])
+
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    if flies:
+        _draw(panels[0], projected, shapes, triangles, distances, length, colours)
+        _label_shapes(panels[0], projected, labels)
+    else:
+        for i, label in enumerate(labels):
+            _draw(panels[i], [projected[i]], [shapes[i]], triangles, [distances[i]], length, colours)
+            panels[i].set_title(label)
+    margin = 0.04 * (high - low).max()
+    for panel in panels:
+        panel.set_axis_off()
+        panel.set_aspect("equal")
+        panel.set_xlim(low[0] - margin, high[0] + margin)
+        panel.set_ylim(low[1] - margin, high[1] + margin)
+    _scale_bar(panels[len(times) - 1 if not flies else 0], scene, low, high)
+    bar = figure.colorbar(colours, ax=panels.tolist(), fraction=0.03, aspect=30, pad=0.02)
+    bar.set_label(f"Displacement{length_unit}")
+    bar.outline.set_visible(False)
+    figure.suptitle(_title(name, planes), fontsize=9.5)
+    return figure
+
+
+def symmetry_planes(scene: Scene) -> list[tuple[int, float]]:
+    """(axis, coordinate) of each plane of symmetry that supports state, with the shell on one side of it."""
+    nodes = np.asarray(scene.mesh.nodes)
+    tolerance = 1e-6 * np.ptp(nodes, axis=0).max()
+    planes = {}
+    for support in scene.supports:
+        for axis, normal in enumerate("xyz"):
+            if support.displacement is not None or set(support.dofs) != set(symmetry([0], normal).dofs):
+                continue
+            held = nodes[support.nodes.array, axis]
+            beyond = nodes[:, axis] - held[0]
+            one_side = beyond.min() >= -tolerance or beyond.max() <= tolerance
+            if np.ptp(held) <= tolerance and one_side:
+                planes.setdefault(axis, float(held[0]))
+    return sorted(planes.items())
+
+
+def _title(name: str, planes) -> str:
+    title = "Deformed shapes, true to scale" + (f" ({name})" if name else "")
+    if planes:
+        mirrors = " and ".join(f"{'xyz'[axis]} = {round(value, 12):g}" for axis, value in planes)
+        title += f"; the modelled part mirrored at {mirrors}"
+    return title
+
+
+def _picture_frames(run: Solution) -> np.ndarray:
+    """Indices of the frames nearest to the scene's picture times, or of a few evenly spaced ones."""
+    times = np.asarray(run.frame_times)
+    wanted = () if run.scene.defaults is None else run.scene.defaults.picture_times
+    # Of a run that stopped early, the times that it reached, and where it stopped.
+    reached = [t for t in wanted if t <= times[-1] * (1 + 1e-9)]
+    if len(reached) < len(wanted):
+        reached.append(times[-1])
+    if not reached:
+        reached = np.linspace(times[0], times[-1], _MOST_PANELS)
+    return np.unique([int(np.argmin(np.abs(times - t))) for t in reached])
+
+
+def _flies(nodes: np.ndarray, displacements: np.ndarray) -> bool:
+    """Whether the shell moves by more than its size, so that its shapes can stand side by side."""
+    way = displacements.mean(axis=1)
+    return bool(np.linalg.norm(np.ptp(way, axis=0)) > np.linalg.norm(np.ptp(nodes, axis=0)))
+
+
+def _mirrored(points: np.ndarray, planes) -> np.ndarray:
+    for axis, value in planes:
+        image = points.copy()
+        image[:, axis] = 2 * value - image[:, axis]
+        points = np.concatenate([points, image])
+    return points
+
+
+def _mirrored_triangles(triangles: np.ndarray, n_nodes: int, copies: int) -> np.ndarray:
+    return np.concatenate([triangles + n_nodes * copy for copy in range(copies)])
+
+
+def _project(points: np.ndarray) -> np.ndarray:
+    """(n, 3) right, up and towards the viewer."""
+    ca, sa, ce, se = math.cos(_AZIMUTH), math.sin(_AZIMUTH), math.cos(_ELEVATION), math.sin(_ELEVATION)
+    towards = np.array([ce * ca, ce * sa, se])
+    right = np.array([-sa, ca, 0.0])
+    return points @ np.stack([right, np.cross(towards, right), towards], axis=1)
+
+
+def _draw(panel, projected, shapes, triangles, distances, length, colours) -> None:
+    """Triangles of all shapes, the farthest first (painter's algorithm), shaded by how they face a light."""
+    corners = np.concatenate([p[triangles] for p in projected])
+    solid = np.concatenate([shape[triangles] for shape in shapes])
+    values = np.concatenate([distance[triangles].mean(axis=1) for distance in distances])
+    normals = np.cross(solid[:, 1] - solid[:, 0], solid[:, 2] - solid[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    light = np.array([0.3, -0.6, 0.75]) / np.linalg.norm([0.3, -0.6, 0.75])
+    faces = colours.to_rgba(values / length)
+    faces[:, :3] *= 0.72 + 0.28 * np.abs(normals @ light)[:, None]
+    order = np.argsort(corners[:, :, 2].mean(axis=1))
+    edges = faces * np.array([0.8, 0.8, 0.8, 1.0])
+    outlines = list(corners[order, :, :2])
+    panel.add_collection(
+        PolyCollection(outlines, facecolors=faces[order], edgecolors=edges[order], linewidths=0.25)
+    )
+
+
+def _label_shapes(panel, projected, labels) -> None:
+    for p, label in zip(projected, labels, strict=True):
+        top = p[np.argmax(p[:, 1])]
+        panel.annotate(label, top[:2], (0, 4), textcoords="offset points", ha="center", va="bottom")
+
+
+def _scale_bar(panel, scene: Scene, low, high) -> None:
+    """A bar of a round length: in orthographic projection it holds for every length across the view."""
+    size = high[0] - low[0]
+    power = 10.0 ** math.floor(math.log10(0.3 * size))
+    bar = max(step * power for step in (1, 2, 5) if step * power <= 0.3 * size)
+    divisor, unit = scaled(scene, bar, "m")
+    y = low[1] - 0.02 * (high - low).max()
+    panel.plot([high[0] - bar, high[0]], [y, y], color="black", lw=1.5, solid_capstyle="butt", clip_on=False)
+    text = f"{bar / divisor:g}{unit.replace(' in', '')}"
+    panel.annotate(text, (high[0] - bar / 2, y), (0, -3), textcoords="offset points", ha="center", va="top")
+
+
+def _grid(count: int, aspect: float) -> tuple[int, int, float]:
+    """Rows, columns and height of a figure of `count` panels of the given height over width."""
+
+    def figure_height(columns):
+        return 0.6 + math.ceil(count / columns) * (0.9 * WIDTH / columns * aspect + 0.35)
+
+    # As few gaps as can be, then nearest to a page's half.
+    columns = min(range(1, min(4, count) + 1), key=lambda c: abs(figure_height(c) - 4.2) + 0.6 * (-count % c))
+    return math.ceil(count / columns), columns, figure_height(columns)
