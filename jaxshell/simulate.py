@@ -210,6 +210,7 @@ def _driven_run(scene, method, newton, tables, handle, choices, steps, output, b
     records, shots = [_expand(record)], [_expand(frame)]
     settings = {
         "method": repr_of(method), "newton": repr_of(newton), "tangent": choices.tangent, "save_every": save_every,
+        "dt": float(steps[0]), "t_end": float(ends[-1]),
     }
     first_chunk = 0.0
     with _writer(output, scene, settings) as writer:

@@ -57,7 +57,7 @@ def energy_figure(runs: Runs) -> Figure:
         panel.tick_params(labelleft=position == 0)
     assert top is not None
     note = symmetry_note(len(symmetry_planes(scene)))
-    top.set_ylabel("Energy" + (f"{note}\n{unit.strip()}" if note else unit))
+    top.set_ylabel(f"Energy{note}{unit}".replace("of the ", "of the\n"))
     lines = {str(curve.get_label()): curve for axes in figure.axes for curve in axes.get_lines()}
     figure.legend(lines.values(), lines.keys(), loc="outside upper center", ncols=len(lines))
     below = figure.add_subplot(grid[1, :])
@@ -80,21 +80,29 @@ def energy_balance(run: Solution) -> np.ndarray:
     return (balance - balance[0]) / (largest if largest > 0 else 1.0)
 
 
-def momentum_figure(runs: Runs) -> Figure:
-    """Components of the linear and of the angular momentum about the origin, a panel each."""
+def momentum_figure(runs: Runs) -> Figure | None:
+    """Components of the linear and of the angular momentum about the origin, a panel each.
+
+    None for a model bounded by planes of symmetry, of which the part says nothing about the whole.
+    """
     scene = next(iter(runs.values())).scene
+    if symmetry_planes(scene):
+        return None
     figure, panels, seconds = _panels(runs, 3, 2, height=1.6)
-    note = symmetry_note(len(symmetry_planes(scene)))
     for column, (name, symbol, unit) in enumerate((("linear", "L", "N s"), ("angular", "J", "N m s"))):
         values = [np.asarray(getattr(run.momentum, name)) for run in runs.values()]
-        divisor, unit = scaled(scene, max(float(np.max(np.abs(v))) for v in values), unit)
+        largest = max(float(np.max(np.abs(v))) for v in values)
+        divisor, unit = scaled(scene, largest, unit)
         for row in range(3):
             panel = panels[row, column]
             for position, (label, run) in enumerate(runs.items()):
                 component = values[position][:, row] / divisor
                 panel.plot(run.times / seconds, component, label=label, **line(position))
             panel.set_ylabel(f"${symbol}_{'xyz'[row]}${unit}")
-        panels[0, column].set_title(f"{name.capitalize()} momentum{note}")
+            # A component that vanishes is a flat line, not its round-off blown up.
+            if max(np.max(np.abs(v[:, row])) for v in values) < 1e-6 * largest:
+                panel.set_ylim(-0.05 * largest / divisor, 0.05 * largest / divisor)
+        panels[0, column].set_title(f"{name.capitalize()} momentum")
     _legend(figure, panels[0, 0], runs)
     return figure
 

@@ -16,7 +16,9 @@ from jaxshell.supports import symmetry
 
 COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.15, 1, 256)))
 """Perceptually uniform and monotone in grey; without its darkest end, in which edges and shades drown."""
-_AZIMUTH, _ELEVATION = math.radians(-60.0), math.radians(22.0)
+_AZIMUTH, _ELEVATION, _LOW_ELEVATION = math.radians(-60.0), math.radians(22.0), math.radians(11.0)
+_FLAT = 0.15
+"""A shell that never rises above this part of its width is seen from lower, or its height would not show."""
 _MOST_PANELS = 6
 
 
@@ -38,7 +40,7 @@ def shapes_figure(run: Solution, name: str = "") -> Figure:
     colours = ScalarMappable(Normalize(0, largest / length if largest > 0 else 1.0), COLOUR_MAP)
     seconds, time_unit = scaled(scene, float(run.frame_times[-1]), "s")
     labels = [f"t = {t / seconds:.4g}{time_unit.replace(' in', '')}" for t in times]
-    projected = [_project(shape) for shape in shapes]
+    projected = [_project(shape, _elevation(shapes)) for shape in shapes]
     low = np.min([p[:, :2].min(0) for p in projected], axis=0)
     high = np.max([p[:, :2].max(0) for p in projected], axis=0)
     flies = _flies(np.asarray(scene.mesh.nodes), displacements)
@@ -123,9 +125,14 @@ def _mirrored_triangles(triangles: np.ndarray, n_nodes: int, copies: int) -> np.
     return np.concatenate([triangles + n_nodes * copy for copy in range(copies)])
 
 
-def _project(points: np.ndarray) -> np.ndarray:
+def _elevation(shapes) -> float:
+    span = np.max([s.max(0) for s in shapes], axis=0) - np.min([s.min(0) for s in shapes], axis=0)
+    return _LOW_ELEVATION if span[2] < _FLAT * max(span[0], span[1]) else _ELEVATION
+
+
+def _project(points: np.ndarray, elevation: float) -> np.ndarray:
     """(n, 3) right, up and towards the viewer."""
-    ca, sa, ce, se = math.cos(_AZIMUTH), math.sin(_AZIMUTH), math.cos(_ELEVATION), math.sin(_ELEVATION)
+    ca, sa, ce, se = math.cos(_AZIMUTH), math.sin(_AZIMUTH), math.cos(elevation), math.sin(elevation)
     towards = np.array([ce * ca, ce * sa, se])
     right = np.array([-sa, ca, 0.0])
     return points @ np.stack([right, np.cross(towards, right), towards], axis=1)
@@ -142,7 +149,7 @@ def _draw(panel, projected, shapes, triangles, distances, length, colours) -> No
     faces = colours.to_rgba(values / length)
     faces[:, :3] *= 0.72 + 0.28 * np.abs(normals @ light)[:, None]
     order = np.argsort(corners[:, :, 2].mean(axis=1))
-    edges = faces * np.array([0.8, 0.8, 0.8, 1.0])
+    edges = faces * np.array([0.7, 0.7, 0.7, 1.0])
     outlines = list(corners[order, :, :2])
     panel.add_collection(
         PolyCollection(outlines, facecolors=faces[order], edgecolors=edges[order], linewidths=0.25)
