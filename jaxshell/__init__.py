@@ -4,7 +4,14 @@ from jaxshell import scenes
 from jaxshell.linear_solver import KLU, Dense, Pardiso
 from jaxshell.loads import EdgeForce, Gravity, History, NodalForce, NodalMoment, Pressure
 from jaxshell.mesh import Mesh, structured_triangles
-from jaxshell.methods import GeneralizedEnergyMomentum
+from jaxshell.methods import (
+    HHT,
+    Bathe,
+    CentralDifference,
+    GeneralizedAlpha,
+    GeneralizedEnergyMomentum,
+    Newmark,
+)
 from jaxshell.newton import Newton
 from jaxshell.scene import Initial, Scene
 from jaxshell.section import Section
@@ -13,17 +20,22 @@ from jaxshell.solution import RESULTS, Energy, Momentum, Solution
 from jaxshell.supports import Support, clamped, pinned, symmetry
 
 __all__ = [
+    "HHT",
     "KLU",
     "RESULTS",
+    "Bathe",
+    "CentralDifference",
     "Dense",
     "EdgeForce",
     "Energy",
+    "GeneralizedAlpha",
     "GeneralizedEnergyMomentum",
     "Gravity",
     "History",
     "Initial",
     "Mesh",
     "Momentum",
+    "Newmark",
     "Newton",
     "NodalForce",
     "NodalMoment",

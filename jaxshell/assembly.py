@@ -70,7 +70,7 @@ class Tables(eqx.Module):
     nodal: GatherSum
     """(m·3, ...) element corners → (n, ...) nodes."""
     matrix: GatherSum
-    """(m·324,) element matrix entries → values of the sparse matrix over the free freedoms."""
+    """(m·324,) element matrix entries → values of the sparse matrix over the free freedoms; empty without one."""
     free: Int[Array, " nf"]
     """Numbers 6·node + dof of the free freedoms."""
     held: Int[Array, " nh"]
@@ -89,18 +89,9 @@ class Structure(NamedTuple):
 @functools.lru_cache(maxsize=32)
 def analyse(structure: Structure) -> tuple[Tables, SparsityPattern]:
     """Tables and sparsity pattern of a structure; done once, kept for later runs of the same structure."""
-    triangles, n_nodes = structure.triangles.array, structure.n_nodes
-    n_dofs, held = 6 * n_nodes, structure.held.array
-    is_free = np.ones(n_dofs, bool)
-    is_free[held] = False
-    free = np.flatnonzero(is_free)
-    if free.size == 0:
-        raise ValueError("Every freedom is held by a support: there is nothing to compute.")
-    number = np.full(n_dofs, -1)
+    triangles, free = structure.triangles.array, _free_dofs(structure)
+    number = np.full(6 * structure.n_nodes, -1)
     number[free] = np.arange(free.size)
-    place = np.empty(n_dofs, np.int64)
-    place[free], place[held] = np.arange(free.size), free.size + np.arange(held.size)
-
     dofs = number[(6 * triangles[:, :, None] + np.arange(6)).reshape(-1, 18)]
     rows = np.repeat(dofs, 18, axis=1).ravel()
     columns = np.tile(dofs, (1, 18)).ravel()
@@ -109,19 +100,37 @@ def analyse(structure: Structure) -> tuple[Tables, SparsityPattern]:
     entries, targets = np.unique(keys, return_inverse=True)
     indptr = np.concatenate([[0], np.cumsum(np.bincount(entries // free.size, minlength=free.size))])
     pattern = SparsityPattern(free.size, Frozen(indptr), Frozen(entries % free.size))
+    with jax.ensure_compile_time_eval():
+        matrix = GatherSum.build(targets.ravel(), sources, entries.size)
+    return eqx.tree_at(lambda tables: tables.matrix, nodal_tables(structure), matrix), pattern
 
+
+@functools.lru_cache(maxsize=32)
+def nodal_tables(structure: Structure) -> Tables:
+    """Tables of a structure without those of the matrix, which an explicit method has no use for."""
+    triangles, held, free = structure.triangles.array, structure.held.array, _free_dofs(structure)
+    place = np.empty(6 * structure.n_nodes, np.int64)
+    place[free], place[held] = np.arange(free.size), free.size + np.arange(held.size)
     # Concrete also while an outer transformation traces: tables are data, never part of the traced program.
     with jax.ensure_compile_time_eval():
         corners = triangles.ravel()
-        tables = Tables(
+        return Tables(
             _indices(triangles),
-            GatherSum.build(corners, np.arange(corners.size), n_nodes),
-            GatherSum.build(targets.ravel(), sources, entries.size),
+            GatherSum.build(corners, np.arange(corners.size), structure.n_nodes),
+            GatherSum((), _indices(np.zeros(0)), None),
             _indices(free),
             _indices(held),
             _indices(place),
         )
-    return tables, pattern
+
+
+def _free_dofs(structure: Structure) -> np.ndarray:
+    is_free = np.ones(6 * structure.n_nodes, bool)
+    is_free[structure.held.array] = False
+    free = np.flatnonzero(is_free)
+    if free.size == 0:
+        raise ValueError("Every freedom is held by a support: there is nothing to compute.")
+    return free
 
 
 def _indices(array: np.ndarray) -> Array:

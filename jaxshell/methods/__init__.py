@@ -1,6 +1,17 @@
 """Time integrators, one a file."""
 
 from jaxshell.methods.base import Method
+from jaxshell.methods.bathe import Bathe
+from jaxshell.methods.central_difference import CentralDifference
 from jaxshell.methods.generalized_energy_momentum import GeneralizedEnergyMomentum
+from jaxshell.methods.newmark import HHT, GeneralizedAlpha, Newmark
 
-__all__ = ["GeneralizedEnergyMomentum", "Method"]
+__all__ = [
+    "HHT",
+    "Bathe",
+    "CentralDifference",
+    "GeneralizedAlpha",
+    "GeneralizedEnergyMomentum",
+    "Method",
+    "Newmark",
+]

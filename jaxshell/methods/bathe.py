@@ -1,0 +1,88 @@
+"""Bathe's composite method: half a step of the trapezoidal rule, then the three-point backward Euler formula.
+
+K.J. Bathe & M.M.I. Baig, Computers & Structures 83 (2005) 2513-2524; K.J. Bathe, 85 (2007) 437-445. With h = Δt/2
+
+    t → t + h:   v_½ = v_0 + (h/2) (a_0 + a_½),  x_½ = x_0 + (h/2) (v_0 + v_½)
+    → t + Δt:    v_1 = (3 (x_1 - x_½) - (x_½ - x_0))/Δt,  a_1 = (3 v_1 - 4 v_½ + v_0)/Δt
+
+and the balance at t + h and at t + Δt. Two solutions a step; what the step cannot resolve is damped out.
+
+Finite rotations: the increments of the two halves are the rotation vectors Θ = R_startᵀ θ in material form, so
+that Ω_1 = (3 Θ_2 - Θ_1)/Δt and Ω̇_1 = (3 Ω_1 - 4 Ω_½ + Ω_0)/Δt. (Exactly, Θ_1 would be turned by half of Θ_2;
+that is O(Δt²), of the order of the formula's own error, and nothing when the axis of rotation stays.)
+"""
+
+import jax
+import jax.numpy as jnp
+
+from jaxshell.elements.inertia import GAUSS_POINTS, Spins, StepFactors
+from jaxshell.methods.base import Method, StepInfo
+from jaxshell.methods.newmark import ForceLevelMethod, Newmark, NewmarkState, step_factors
+from jaxshell.model import Model
+
+
+class BackwardFactors(StepFactors):
+    """v_1 = 3u/Δt + v*, a_1 = 9u/Δt² + a*: the increment u of the second half, and what history contributes.
+
+    With β = 1/9, γ = 1/3 and the whole Δt these are Newmark's coefficients γ/(βΔt) and 1/(βΔt²) of u, which is
+    all that the tangent needs to know.
+    """
+
+    def first(self, increment, rate, acceleration):
+        return self.gamma / (self.beta * self.dt) * increment + rate
+
+    def second(self, increment, rate, acceleration):
+        return increment / (self.beta * self.dt**2) + acceleration
+
+
+class ThreePointBackward(ForceLevelMethod):
+    """The second half: its state's v, a, Ω, Ω̇ are v*, a*, Ω*, Ω̇*, the parts of the end's that are known."""
+
+    balance_at_end = True
+
+    def factors(self, dt) -> StepFactors:
+        return BackwardFactors(*step_factors(1.0 / 9.0, 1.0 / 3.0, 0.0, 0.0, 2.0 * dt))
+
+
+class Bathe(Method):
+    """Bathe's two-step composite method. Iterations and factorizations count both halves."""
+
+    def start(self, model: Model, scene, time) -> NewmarkState:
+        return Newmark().start(model, scene, time)
+
+    def observe(self, model: Model, state: NewmarkState):
+        return Newmark().observe(model, state)
+
+    def step(self, model: Model, state: NewmarkState, dt, solvers, memory):
+        half, first, memory = Newmark().step(model, state, 0.5 * dt, solvers, memory)
+        end, second, memory = ThreePointBackward().step(
+            model, history(model, state, half, dt), 0.5 * dt, solvers, memory
+        )
+        info = StepInfo(
+            jnp.where(first.result == 0, second.result, first.result),
+            first.iterations + second.iterations,
+            first.factorizations + second.factorizations,
+            second.correction,
+        )
+        return end, info, memory
+
+
+def history(model: Model, start: NewmarkState, half: NewmarkState, dt) -> NewmarkState:
+    """`half` with its rates replaced by what the two known points contribute to the rates at the end."""
+    increment = 0.5 * dt * half.rates[0]
+    theta = jnp.asarray(GAUSS_POINTS) @ model.gather(increment[:, 3:])
+    material = jnp.einsum("mpij,mpi->mpj", start.spins.R, theta)
+    v, Omega = -increment[:, :3] / dt, -material / dt
+    a = (3.0 * v - 4.0 * half.v + start.v) / dt
+    Omega_dot = (3.0 * Omega - 4.0 * half.spins.Omega + start.spins.Omega) / dt
+    return NewmarkState(
+        half.time,
+        half.x,
+        half.R,
+        v,
+        a,
+        Spins(half.spins.R, Omega, Omega_dot),
+        half.external_work,
+        half.reaction,
+        half.rates,
+    )

@@ -1,0 +1,238 @@
+"""Newmark, HHT and generalised-α methods at force level: what most codes for structural dynamics offer.
+
+One scheme, the generalised-α method, of which the others are choices of its four numbers. The balance weights
+the FORCES of the two ends of the step,
+
+    f_iner + (1-αf) (f_int - f_ext)_{n+1} + αf (f_int - f_ext)_n = 0,
+
+with f_iner of the accelerations (1-αm) (·)_{n+1} + αm (·)_n, and Newmark's formulas for velocities and
+accelerations, eqs. (13), (14), (104), (105). The paper's method weights the kinematics instead and evaluates one
+force of the averages; that is the only difference in this file's equations.
+
+Inertia: the paper's seven-point form, eq. (40), as the generalised mid-point has it; at αm = αf = 0 the balance
+stands at the end of the step. (Many codes lump rotary inertia at the nodes and leave out the gyroscopic term.)
+Rotations and angular velocities enter with the weight αf and angular accelerations with αm: Newmark's
+accelerations lag by (αm - αf)Δt, and any other weighting of the product R Ω̇ loses the second order.
+Finite rotations: R_{n+1} = exp(~θ) R_n, with θ the unknown of the step and Θ = R_nᵀθ in Newmark's formulas.
+"""
+
+import abc
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxshell.checks import check_finite, is_concrete
+from jaxshell.elements import corotational
+from jaxshell.elements.corotational import Element
+from jaxshell.elements.inertia import Spins, StepFactors
+from jaxshell.methods import seven_point
+from jaxshell.methods.base import Forces, ImplicitMethod, Observation
+from jaxshell.methods.start import initial_motion, initial_translational_acceleration
+from jaxshell.model import Model, pressure_force, pressure_stiffness
+
+
+class NewmarkState(eqx.Module):
+    """State at the end of a step."""
+
+    time: Float[Array, ""]
+    x: Float[Array, "n 3"]
+    R: Float[Array, "n 3 3"]
+    v: Float[Array, "n 3"]
+    a: Float[Array, "n 3"]
+    spins: Spins
+    """At the seven Gauss points of each element, (m, 7, ...)."""
+    external_work: Float[Array, ""]
+    reaction: Float[Array, " nh"]
+    """Of the last balance at the held freedoms; (0,) where no support moves."""
+    rates: Float[Array, "2 n 6"]
+    """Increments over Δt of the last two steps, for the predictor."""
+
+    def predictor(self, dt) -> Float[Array, "n 6"]:
+        """Linear extrapolation of the last two steps' mean velocities."""
+        return dt * (2.0 * self.rates[0] - self.rates[1])
+
+
+class ElementData(NamedTuple):
+    """Constants of one element during a step."""
+
+    element: Element
+    v: Float[Array, "3 3"]
+    a: Float[Array, "3 3"]
+    spins: Spins
+    pressure: Float[Array, ""] | None
+
+
+class ForceLevelMethod(ImplicitMethod):
+    """The generalised-α scheme; a subclass states β, γ, α_m, α_f."""
+
+    balance_at_end: ClassVar[bool] = False
+    """α_f = 0: the forces at the start of the step do not enter."""
+
+    @abc.abstractmethod
+    def factors(self, dt) -> StepFactors:
+        """β, γ, α_m, α_f, and Δt."""
+
+    # --- one element ---------------------------------------------------------------------------------------
+
+    def element_forces(self, motion, u, data: ElementData, step: StepFactors) -> Forces:
+        elastic = corotational.internal_force(motion.x, motion.R, data.element)
+        if data.pressure is not None:
+            elastic = elastic - pressure_force(motion.x, data.pressure)
+        inertial = seven_point.inertial_forces(
+            u[:, :3], motion.theta, data.v, data.a, data.spins, data.element, step
+        )
+        return Forces((1.0 - step.alpha_f) * elastic, inertial)
+
+    def element_tangent(self, motion, u, data: ElementData, step: StepFactors):
+        K = corotational.tangent_stiffness(motion.x, motion.R, data.element)
+        if data.pressure is not None:
+            K = K - pressure_stiffness(motion.x, data.pressure)
+        # From spins to the unknown rotation vectors.
+        K = (1.0 - step.alpha_f) * K.reshape(18, 3, 2, 3)
+        turned = jnp.einsum("rbi,bij->rbj", K[:, :, 1], motion.spin)
+        K = jnp.stack([K[:, :, 0], turned], axis=2).reshape(18, 18)
+        return K + seven_point.inertial_tangent(motion.theta, data.spins, data.element, step)
+
+    # --- the shell -----------------------------------------------------------------------------------------
+
+    def start(self, model: Model, scene, time) -> NewmarkState:
+        x, R, v, omega = initial_motion(model, scene)
+        rate = jnp.concatenate([v, omega], axis=1)
+        reaction = jnp.zeros(0)
+        if model.moving:
+            force = model.internal_force(x, R) - _external(model, x, jnp.asarray(time))
+            reaction = force.reshape(-1)[model.tables.held]
+        return NewmarkState(
+            jnp.asarray(time, float),
+            x,
+            R,
+            v,
+            initial_translational_acceleration(model, x, R, time),
+            seven_point.initial_spins(model, R, omega),
+            jnp.zeros(()),
+            reaction,
+            jnp.stack([rate, rate]),
+        )
+
+    def begin(self, model: Model, state: NewmarkState, dt):
+        factors = self.factors(dt)
+        end = state.time + dt
+        loads = (1.0 - factors.alpha_f) * model.dead_load(end)
+        if not self.balance_at_end:
+            earlier = _external(model, state.x, state.time) - model.internal_force(state.x, state.R)
+            loads = loads + factors.alpha_f * earlier
+        pressure = model.pressure(end) if model.pressures else None
+        v, a = model.gather((state.v, state.a))
+        return ElementData(model.elements, v, a, state.spins, pressure), factors, loads
+
+    def finish(self, model: Model, state: NewmarkState, dt, u, motion, begun) -> NewmarkState:
+        factors = begun[1]
+        # Work by the trapezoidal rule, which at β = 1/4, γ = 1/2 is the work that a linear shell receives.
+        ends = _external(model, state.x, state.time) + _external(model, motion.x, state.time + dt)
+        work, reaction = 0.5 * jnp.sum(ends * u), state.reaction
+        if model.moving:
+            # The balance gives the reaction at t_{n+1-αf}; brought to the middle of the step, linearly.
+            reaction = self.balance(model, state, begun, u).residual.reshape(-1)[model.tables.held]
+            middle = (0.5 + factors.alpha_f) * reaction + (0.5 - factors.alpha_f) * state.reaction
+            work = work + jnp.sum(middle * u.reshape(-1)[model.tables.held])
+        return NewmarkState(
+            state.time + dt,
+            motion.x,
+            motion.R,
+            factors.first(u[:, :3], state.v, state.a),
+            factors.second(u[:, :3], state.v, state.a),
+            seven_point.turned_spins(model, motion.theta, state.spins, factors),
+            state.external_work + work,
+            reaction,
+            jnp.stack([u / dt, state.rates[0]]),
+        )
+
+    def observe(self, model: Model, state: NewmarkState) -> Observation:
+        """Energies and momenta of the end of the step, eqs. (27), (28), (34), (61)."""
+        kinetic, linear, angular = seven_point.kinetic_and_momenta(model, state.x, state.v, state.spins)
+        strain = model.strain_energy(state.x, state.R)
+        return Observation(kinetic, strain, state.external_work, jnp.zeros(()), linear, angular)
+
+
+def step_factors(beta, gamma, alpha_m, alpha_f, dt) -> StepFactors:
+    """The scheme's numbers as arrays."""
+    return StepFactors(*(jnp.asarray(number, float) for number in (beta, gamma, alpha_m, alpha_f, dt)))
+
+
+def _external(model: Model, x, time) -> Float[Array, "n 6"]:
+    """All loads at `time` on the shape x."""
+    return model.dead_load(time) + model.pressure_load(x, time)
+
+
+class Newmark(ForceLevelMethod):
+    """Newmark's method (1959), balance at the end of the step.
+
+    Arguments:
+        beta, gamma: Newmark's parameters, both traced. β = 1/4, γ = 1/2 is the average-acceleration method
+            (trapezoidal rule): second order, no dissipation, unconditionally stable in LINEAR problems only.
+
+    Raises ValueError unless γ >= 1/2 and β >= (γ + 1/2)²/4, without which even a linear run may blow up.
+    """
+
+    balance_at_end: ClassVar[bool] = True
+
+    beta: float = 0.25
+    gamma: float = 0.5
+
+    def __check_init__(self):
+        check_finite("beta", self.beta)
+        check_finite("gamma", self.gamma)
+        if is_concrete(self.gamma) and self.gamma < 0.5:
+            raise ValueError(f"gamma must be at least 0.5, or oscillations grow, but it is {self.gamma}.")
+        if is_concrete(self.beta) and is_concrete(self.gamma) and self.beta < 0.25 * (self.gamma + 0.5) ** 2:
+            least = 0.25 * (self.gamma + 0.5) ** 2
+            raise ValueError(f"beta must be at least (gamma + 1/2)²/4 = {least:g}, but it is {self.beta}.")
+
+    def factors(self, dt) -> StepFactors:
+        return step_factors(self.beta, self.gamma, 0.0, 0.0, dt)
+
+
+class HHT(ForceLevelMethod):
+    """Hilber, Hughes & Taylor's α method (1977): α_f = -α, α_m = 0, β = (1 - α)²/4, γ = 1/2 - α.
+
+    Arguments:
+        alpha: α in [-1/3, 0], traced. 0 is Newmark's trapezoidal rule; -1/3 dissipates high frequencies most.
+
+    Raises ValueError for α out of range.
+    """
+
+    alpha: float = -0.05
+
+    def __check_init__(self):
+        check_finite("alpha", self.alpha)
+        if is_concrete(self.alpha) and not -1.0 / 3.0 <= self.alpha <= 0.0:
+            raise ValueError(f"alpha must lie in [-1/3, 0], but it is {self.alpha}.")
+
+    def factors(self, dt) -> StepFactors:
+        return step_factors(0.25 * (1.0 - self.alpha) ** 2, 0.5 - self.alpha, 0.0, -self.alpha, dt)
+
+
+class GeneralizedAlpha(ForceLevelMethod):
+    """Chung & Hulbert's generalised-α method (1993), with the parameters of eq. (92).
+
+    Arguments:
+        spectral_radius: ρ∞ in [0, 1], traced: the factor by which the highest frequencies shrink in a step.
+
+    Raises ValueError for ρ∞ out of range.
+    """
+
+    spectral_radius: float = 0.8
+
+    def __check_init__(self):
+        check_finite("spectral_radius", self.spectral_radius)
+        if is_concrete(self.spectral_radius) and not 0.0 <= self.spectral_radius <= 1.0:
+            raise ValueError(f"spectral_radius must lie in [0, 1], but it is {self.spectral_radius}.")
+
+    def factors(self, dt) -> StepFactors:
+        rho = self.spectral_radius
+        alpha_m, alpha_f = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
+        gamma = 0.5 - alpha_m + alpha_f
+        return step_factors(0.25 * (gamma + 0.5) ** 2, gamma, alpha_m, alpha_f, dt)
