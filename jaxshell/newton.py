@@ -37,7 +37,7 @@ class Problem(NamedTuple):
     balance: Callable
     """→ `jaxshell.methods.base.Balance`."""
     matrix: Callable
-    """→ values of the sparse tangent."""
+    """(free, the iterate before it: zeros, the step's start, at first) → values of the sparse tangent."""
     free: Callable
     """(n, 6) → its free entries."""
 
@@ -75,6 +75,7 @@ class Solved(NamedTuple):
 
 class _Carry(NamedTuple):
     free: Float[Array, " nf"]
+    last: Float[Array, " nf"]
     done: Bool[Array, ""]
     result: Int[Array, ""]
     iterations: Int[Array, ""]
@@ -128,7 +129,7 @@ class Newton(eqx.Module):
 
         def advance(c: _Carry, r, error):
             def anew():
-                values = problem.matrix(c.free)
+                values = problem.matrix(c.free, c.last)
                 step, factorization = linear.solver.factor_and_solve(linear.handle, values, -r)
                 return step, factorization, values
 
@@ -163,6 +164,7 @@ class Newton(eqx.Module):
             result = jnp.where(bad, jnp.where(jnp.isfinite(length), DIVERGED, SINGULAR), SUCCESSFUL)
             return _Carry(
                 jnp.where(bad, c.free, c.free + damping * step),
+                c.free,
                 bad | (enough & whole),
                 result,
                 c.iterations + 1,
@@ -183,7 +185,8 @@ class Newton(eqx.Module):
 
         zero = jnp.zeros((), jnp.int32)
         start = _Carry(
-            guess, jnp.array(False), zero, zero, zero, jnp.array(jnp.inf), jnp.array(0.0), memory
+            guess, jnp.zeros_like(guess), jnp.array(False), zero, zero, zero,
+            jnp.array(jnp.inf), jnp.array(0.0), memory,
         )
         end = lax.while_loop(lambda c: ~c.done & (c.iterations < self.max_iterations), body, start)
         result = jnp.where(end.done, end.result, STAGNATED)

@@ -155,6 +155,13 @@ class ImplicitMethod(Method):
         corners = model.gather((u, state.x, state.R))
         return jax.vmap(jax.jacfwd(forces))(corners[0].reshape(-1, 18), corners[1], corners[2], data)
 
+    def mixed_matrices(self, model: Model, state, begun, u, last, tangent: str) -> Float[Array, "m 18 18"]:
+        """Element tangents that Newton uses at the iterate u (n, 6), which it reached from the iterate `last`.
+
+        The exact ones, unless a method knows better before convergence; the same where u and `last` agree.
+        """
+        return self.matrices(model, state, begun, u, tangent)
+
     def step(self, model, state, dt, solvers, memory):
         # The iteration is outside differentiation; its result then gets the derivative of the equations solved.
         fixed = jax.lax.stop_gradient((self, model, state, dt))
@@ -168,7 +175,7 @@ class ImplicitMethod(Method):
             solvers.linear.handle,
             solved.free,
             model.free(problem.balance(solved.free).residual),
-            jax.lax.stop_gradient(problem.matrix(solved.free)),
+            jax.lax.stop_gradient(problem.matrix(solved.free, solved.free)),
         )
         u = model.expand(free, held)
         info = StepInfo(solved.result, solved.iterations, solved.factorizations, solved.correction)
@@ -184,11 +191,16 @@ def _problem(method: ImplicitMethod, model: Model, state, dt, solvers: Solvers):
     """(constants of the step, held increments, equations) of one step."""
     begun = method.begin(model, state, dt)
     held = model.held_displacement(state.time + dt) - model.held_displacement(state.time)
+
+    def matrix(free, last):
+        # At the start of the step, where `last` is zero, the held freedoms have not moved either.
+        last = model.expand(last, jnp.where(jnp.any(last != 0), held, 0.0))
+        u = model.expand(free, held)
+        return model.assemble_matrix(method.mixed_matrices(model, state, begun, u, last, solvers.tangent))
+
     problem = Problem(
         lambda free: method.balance(model, state, begun, model.expand(free, held)),
-        lambda free: model.assemble_matrix(
-            method.matrices(model, state, begun, model.expand(free, held), solvers.tangent)
-        ),
+        matrix,
         model.free,
     )
     return begun, held, problem
