@@ -5,6 +5,7 @@ by the keyboard. JAX and matplotlib are imported when a command needs them, and 
 """
 
 import argparse
+import itertools
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -41,7 +42,8 @@ def _parser() -> argparse.ArgumentParser:
         "--method",
         nargs="+",
         metavar="NAME",
-        help="EMC, EDMC1, EDMC2, exact, or all of the paper's; several are drawn together (default: EMC)",
+        help="EMC, EDMC1, EDMC2, exact, a class of jaxshell.methods, or all for the paper's three; "
+        "several are drawn together (default: EMC)",
     )
     run.add_argument("--dt", type=float, help="time step (default: the scene's)")
     run.add_argument("--t-end", type=float, help="duration (default: the scene's)")
@@ -184,7 +186,7 @@ def _use_float64() -> None:
 
 
 def _open_scene(name: str):
-    """(scene, settings as a [run] table, stem of the files to write) of a name, a scene file or a result file."""
+    """(scene, [run] settings, stem of files to write) of a scene's name, a scene file or a result file."""
     from jaxshell.scenes import PAPER
 
     path = Path(name)
@@ -226,10 +228,7 @@ def _file_part(label: str) -> str:
 
 
 def _common_stem(loaded: dict) -> str:
-    """What the files' names have in common, or else the scene's name."""
-    paths = list(loaded)
-    common = paths[0].stem
-    for path in paths[1:]:
-        while not path.stem.startswith(common):
-            common = common[:-1]
-    return common.rstrip("_-. ") or next(iter(loaded.values())).scene.name
+    """The first words that all files' names share, or else the scene's name."""
+    words = zip(*(path.stem.split("_") for path in loaded), strict=False)
+    shared = [same[0] for same in itertools.takewhile(lambda same: len(set(same)) == 1, words)]
+    return "_".join(shared) or next(iter(loaded.values())).scene.name

@@ -16,7 +16,7 @@ def describe_scene(scene: Scene) -> str:
 
 
 def describe_run(label: str, run: Solution, path: Path) -> str:
-    """Steps and time taken, energy drift, momentum drift of a free shell, extremes of what is watched, the file."""
+    """Steps, time, drift of energy and of a free shell's momentum, extremes of what is watched, the file."""
     times = np.asarray(run.times)
     steps = len(times) - 1
     lines = [f"{label}: {steps} steps to t = {times[-1]:.6g}"]
@@ -28,9 +28,8 @@ def describe_run(label: str, run: Solution, path: Path) -> str:
     for name, values in run.watched.items():
         values = np.asarray(values)
         low, high = int(values.argmin()), int(values.argmax())
-        lines.append(
-            f"  {name}: {values[low]:.6g} (t = {times[low]:.6g}) to {values[high]:.6g} (t = {times[high]:.6g})"
-        )
+        least, most = (f"{values[i]:.6g} at t = {times[i]:.6g}" for i in (low, high))
+        lines.append(f"  {name}: {least} to {most}")
     lines.append(f"  {path} ({path.stat().st_size / 1e6:.1f} MB)")
     return "\n".join(lines)
 
@@ -38,9 +37,7 @@ def describe_run(label: str, run: Solution, path: Path) -> str:
 def _energy(run: Solution) -> list[str]:
     balance = energy_balance(run)
     worst = balance[np.argmax(np.abs(balance))]
-    return [
-        f"  energy: K + S - W changes by {worst:.1e} of the largest K + S at most, {balance[-1]:.1e} at the end"
-    ]
+    return [f"  energy: K + S - W changes by {worst:.1e} of the largest K + S, {balance[-1]:.1e} at the end"]
 
 
 def _momentum(run: Solution) -> list[str]:
@@ -58,7 +55,7 @@ def _momentum(run: Solution) -> list[str]:
         drift = np.linalg.norm(values - values[0], axis=1).max()
         drifts.append(f"{name} {drift / largest if largest > 0 else 0.0:.1e}")
     since = f" after the loads (t = {after:.6g})" if after > 0 else ""
-    return [f"  momentum{since} changes by: {', '.join(drifts)} of its size at most"]
+    return [f"  momentum{since} changes by {', '.join(drifts)} of its size"]
 
 
 def loads_end(scene: Scene) -> float:

@@ -145,8 +145,8 @@ def _history(table: "_Table") -> History | None:
     inner.only("ramp", "times", "values")
     if "ramp" in inner.content:
         inner.only("ramp")
-        return inner.call(History.ramp, inner.get("ramp"))
-    return inner.call(History, inner.get("times"), inner.get("values"))
+        return table.call(History.ramp, inner.get("ramp"))
+    return table.call(History, inner.get("times"), inner.get("values"))
 
 
 def _watch(table: "_Table", mesh: Mesh) -> dict[str, tuple[int, str]]:

@@ -1,0 +1,212 @@
+"""The command `jaxshell`: runs, reruns, plots, lists; failures and bad input end without a traceback."""
+
+import subprocess
+import sys
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+jax.config.update("jax_enable_x64", True)
+
+from jaxshell.cli import main  # noqa: E402
+from jaxshell.loads import Gravity, History  # noqa: E402
+from jaxshell.method_names import choose_methods, method_label, parse_method  # noqa: E402
+from jaxshell.methods import GeneralizedEnergyMomentum, Newmark  # noqa: E402
+from jaxshell.report import loads_end  # noqa: E402
+from jaxshell.scenes import PAPER  # noqa: E402
+from jaxshell.solution import RESULTS, Solution  # noqa: E402
+
+STRIP = """
+[mesh]
+generator = "rectangle"
+length = 2.0
+width = 1.0
+divisions = [2, 1]
+[section]
+thickness = 0.1
+young_modulus = 1.0e4
+poisson_ratio = 0.3
+density = 1.0
+[[loads]]
+kind = "force"
+nodes = [5]
+force = [0, 0, 1]
+history = { times = [0, 0.05], values = [1, 0] }
+[watch]
+corner = { node = 5, component = "uz" }
+[run]
+dt = 0.01
+t_end = 0.2
+save_every = 2
+"""
+PICTURES = {"strip_shapes.png", "strip_displacement.png", "strip_energy.png", "strip_momentum.png"}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A folder with a run of the strip, by three methods, and one by one; and what was printed."""
+    folder = tmp_path_factory.mktemp("cli")
+    (folder / "strip.toml").write_text(STRIP)
+    assert main(["run", str(folder / "strip.toml"), "--output", str(folder / "one"), "--quiet"]) == 0
+    assert main(["run", str(folder / "strip.toml"), "--output", str(folder / "all"), "--method", "all"]) == 0
+    return folder
+
+
+def test_run_writes_results_and_pictures(finished):
+    assert {path.name for path in (finished / "one").iterdir()} == {"strip.h5"} | PICTURES
+    solution = Solution.load(finished / "one" / "strip.h5")
+    assert len(solution.times) == 21 and len(solution.frame_times) == 11
+    assert np.isclose(solution.times[-1], 0.2) and float(solution.watched["corner"][-1]) > 0
+
+
+def test_all_methods_in_one_picture(finished):
+    results = {"strip_EMC.h5", "strip_EDMC1.h5", "strip_EDMC2.h5"}
+    assert {path.name for path in (finished / "all").iterdir()} == results | PICTURES
+
+
+def test_summary(finished, capsys):
+    run = ["run", str(finished / "strip.toml"), "--output", str(finished / "summary"), "--no-plots"]
+    assert main([*run, "--t-end", "0.1", "--dt", "0.02", "--method", "emc"]) == 0
+    text = capsys.readouterr().out
+    assert "strip: 4 triangles, 6 nodes, 36 unknowns" in text
+    assert "EMC: 5 steps to t = 0.1" in text and "Newton iterations a step" in text
+    assert "momentum after the loads (t = 0.05) changes by linear" in text
+    assert [path.name for path in (finished / "summary").iterdir()] == ["strip.h5"]
+
+
+def test_rerun_of_a_result_file_gives_the_same(finished):
+    first = finished / "all" / "strip_EDMC1.h5"
+    assert main(["run", str(first), "--output", str(finished / "again"), "--no-plots", "--quiet"]) == 0
+    one, two = Solution.load(first), Solution.load(finished / "again" / "strip_EDMC1_rerun.h5")
+    assert np.array_equal(one.times, two.times) and np.array_equal(one.displacements, two.displacements)
+    assert one.stats["method"] == two.stats["method"]
+
+
+def test_plot_of_several_files(finished, capsys):
+    files = [str(finished / "all" / f"strip_{name}.h5") for name in ("EMC", "EDMC2")]
+    assert main(["plot", *files, "--output", str(finished / "plots")]) == 0
+    names = {path.name for path in (finished / "plots").iterdir()}
+    assert names == {name.replace("strip", "strip_compared") for name in PICTURES}
+    assert capsys.readouterr().out.count("strip_compared") == 4
+
+
+def test_failed_run_keeps_its_steps_and_says_so(finished, capsys):
+    (finished / "wild.toml").write_text(
+        STRIP.replace("[0, 0, 1]", "[0, 0, 1e9]").replace("dt = 0.01", "dt = 0.1")
+    )
+    assert main(["run", str(finished / "wild.toml"), "--output", str(finished / "wild")]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("jaxshell: EMC failed. Step ") and "Reduce the time step" in error
+    solution = Solution.load(finished / "wild" / "wild.h5")
+    assert not bool(solution.result == RESULTS.successful) and solution.message in error
+    assert np.all(np.isfinite(solution.displacements))
+    assert (finished / "wild" / "wild_shapes.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "dome"], "There is no scene 'dome'. Choose out of cap, plate, opened_cap"),
+        (["run", "none.toml"], "There is no file none.toml"),
+        (["run", "none.h5"], "There is no file none.h5"),
+        (["plot", "none.h5"], "There is no file none.h5"),
+        (["plot", __file__], "cannot be read as an HDF5 file"),
+        (
+            ["run", "cap", "--method", "rk4"],
+            "There is no method 'rk4'. Choose out of EMC, EDMC1, EDMC2, ",
+        ),
+        (["run", "cap", "--dt", "-1"], "dt must be positive, but it is -1.0"),
+        (["run", "cap", "--save-every", "0"], "save_every must be a whole number of at least 1, but it is 0"),
+        (["run", "cap", "--spectral-radius", "2"], "spectral_radius must lie in [0, 1.0], but it is 2.0"),
+        (["run", "cap", "--method", "all", "--dissipation", "0.1"], "for one method at a time"),
+    ],
+)
+def test_bad_input_is_a_short_error(arguments, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("jaxshell: ") and message in captured.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_scene_without_a_step_asks_for_one(tmp_path, capsys):
+    (tmp_path / "strip.toml").write_text(STRIP[: STRIP.index("[run]")])
+    assert main(["run", str(tmp_path / "strip.toml"), "--output", str(tmp_path)]) == 2
+    assert "The scene gives no dt: add --dt, or dt in the file's [run]." in capsys.readouterr().err
+
+
+def test_scenes_are_listed(capsys):
+    assert main(["scenes"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(PAPER) and lines[0].startswith("cap         Clamped spherical cap")
+
+
+def test_help_and_version_need_no_float64(capsys):
+    for arguments, text in (
+        (["--help"], "COMMAND"),
+        (["run", "--help"], "--method"),
+        (["--version"], "jaxshell "),
+    ):
+        with pytest.raises(SystemExit) as left:
+            main(arguments)
+        assert left.value.code == 0 and text in capsys.readouterr().out
+
+
+def test_module_runs_as_a_command_without_matplotlib(tmp_path):
+    code = (
+        "import sys, runpy; sys.argv = ['jaxshell', 'scenes']\n"
+        "try: runpy.run_module('jaxshell', run_name='__main__')\n"
+        "except SystemExit as left: assert not left.code\n"
+        "assert 'matplotlib' not in sys.modules and 'h5py' not in sys.modules"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "opened_cap" in done.stdout
+
+
+# --- names of methods ------------------------------------------------------------------------------------
+
+
+def test_the_scene_gives_its_methods_their_parameters():
+    plate = PAPER["plate"]()
+    assert list(choose_methods(plate, [], None, None)) == ["EMC"]
+    chosen: Any = choose_methods(plate, ["all"], None, None)
+    parameters = [(float(m.spectral_radius), float(m.dissipation)) for m in chosen.values()]
+    assert list(chosen) == ["EMC", "EDMC1", "EDMC2"]
+    assert parameters == [(1.0, 0.0), (0.95, 0.0), (1.0, 0.02)]
+
+
+def test_other_methods_go_by_their_class():
+    cap = PAPER["cap"]()
+    assert choose_methods(cap, ["Newmark"], None, None) == {"Newmark": Newmark()}
+    with pytest.raises(ValueError, match="The method 'newmark' has no spectral_radius"):
+        choose_methods(cap, ["Newmark"], 0.5, None)
+
+
+def test_labels_say_what_differs_from_the_named_methods():
+    cap = PAPER["cap"]()
+    (label,) = choose_methods(cap, ["EMC"], 0.9, 0.01)
+    assert label == "EDMC, ρ∞ = 0.9, ξ = 0.01"
+    (label,) = choose_methods(cap, ["EMC"], 0.8, None)
+    assert label == "EDMC1"
+
+
+def test_quoted_methods_are_read_back():
+    text = "GeneralizedEnergyMomentum(spectral_radius=0.8, dissipation=0, initial_acceleration=zero)"
+    method = parse_method(text)
+    assert method == GeneralizedEnergyMomentum(0.8, 0, "zero")
+    assert method_label(method, PAPER["cap"]()) == "EDMC1"
+    for bad in ("", "open('x')", "GeneralizedEnergyMomentum(0.8)", "Unknown()", "__import__(name=os)"):
+        with pytest.raises(ValueError, match="not one of this version"):
+            parse_method(bad)
+
+
+def test_end_of_the_loads():
+    plate = PAPER["plate"]((3, 1))
+    assert loads_end(plate) == 0.004
+    assert loads_end(PAPER["plate"]((3, 1), loads=[])) == 0.0
+    late = Gravity([0, 0, 1], History([0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 0.0, 0.0]))
+    assert loads_end(PAPER["plate"]((3, 1), loads=[late])) == 2.0
+    assert loads_end(PAPER["opened_cap"]((6, 2))) == np.inf
