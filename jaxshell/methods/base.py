@@ -7,13 +7,15 @@ converges does not depend on the path of the iterates.
 """
 
 import abc
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxshell.gradients import keep
+from jaxshell.methods.predictor import extrapolate
 from jaxshell.model import Model
 from jaxshell.newton import Linear, Newton, Problem, attach_derivative
 from jaxshell.rotations import H_inverse, exp
@@ -80,6 +82,12 @@ class Solvers(NamedTuple):
 class Method(eqx.Module):
     """A time integrator: states, and one step as a pure function of (model, state, Δt)."""
 
+    uses_matrix: ClassVar[bool] = True
+    """Whether a step solves equations. Explicit methods do not, and nothing is analysed or kept for them."""
+
+    def check(self, scene, steps) -> None:
+        """Raise ValueError where the method cannot run `scene` with these step sizes; before compilation."""
+
     @abc.abstractmethod
     def start(self, model: Model, scene, time) -> Any:
         """The state at the start."""
@@ -122,8 +130,8 @@ class ImplicitMethod(Method):
         """The state at the end of the step from the converged increments."""
 
     def predict(self, model: Model, state, dt) -> Float[Array, "n 6"]:
-        """The increments from which Newton starts."""
-        return state.predictor(dt)
+        """The increments from which Newton starts; states keep the `rates` of the last steps for it."""
+        return extrapolate(state.rates, dt)
 
     def motion(self, state, u: Float[Array, "n 6"]) -> Motion:
         """Motion of all nodes."""
@@ -166,8 +174,10 @@ class ImplicitMethod(Method):
         # The iteration is outside differentiation; its result then gets the derivative of the equations solved.
         fixed = jax.lax.stop_gradient((self, model, state, dt))
         begun, held, problem = _problem(*fixed, solvers)
-        solved = solvers.newton.solve(
-            problem, model.free(fixed[0].predict(*fixed[1:])), *_scales(fixed[1]), solvers.linear, memory
+        solved = keep(
+            solvers.newton.solve(
+                problem, model.free(fixed[0].predict(*fixed[1:])), *_scales(fixed[1]), solvers.linear, memory
+            )
         )
         begun, held, problem = _problem(self, model, state, dt, solvers)
         free = attach_derivative(

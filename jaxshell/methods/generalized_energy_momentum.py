@@ -17,10 +17,11 @@ from jaxshell.checks import check_finite, is_concrete
 from jaxshell.elements import corotational, inertia
 from jaxshell.elements.corotational import Element, Kinematics
 from jaxshell.elements.inertia import GAUSS_POINTS, GAUSS_WEIGHTS, LINEAR_MASS, Spins, StepFactors
+from jaxshell.methods import predictor
 from jaxshell.methods.base import Forces, ImplicitMethod, Observation
+from jaxshell.methods.start import initial_motion, initial_translational_acceleration
 from jaxshell.model import Model, pressure_force, pressure_stiffness
 from jaxshell.rotations import exp, log
-from jaxshell.methods.start import initial_motion, initial_translational_acceleration
 
 
 class GEMState(eqx.Module):
@@ -34,12 +35,8 @@ class GEMState(eqx.Module):
     spins: Spins | None
     """At the seven Gauss points of each element (m, 7, ...), or at the nodes (n, ...), or absent."""
     external_work: Float[Array, ""]
-    rates: Float[Array, "2 n 6"]
-    """Increments over Δt of the last two steps, for the predictor."""
-
-    def predictor(self, dt) -> Float[Array, "n 6"]:
-        """Linear extrapolation of the last two steps' mean velocities."""
-        return dt * (2.0 * self.rates[0] - self.rates[1])
+    rates: predictor.Rates
+    """Of the last steps, for the predictor."""
 
 
 class ElementData(NamedTuple):
@@ -194,11 +191,9 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             a = initial_translational_acceleration(model, x, R, time)
         else:
             a = jnp.zeros_like(v)
-        rate = jnp.concatenate([v, omega], axis=1)
-        return GEMState(
-            jnp.asarray(time, float), x, R, v, a, self._initial_spins(model, R, omega), jnp.zeros(()),
-            jnp.stack([rate, rate]),
-        )
+        spins = self._initial_spins(model, R, omega)
+        rates = predictor.initial_rates(v, omega)
+        return GEMState(jnp.asarray(time, float), x, R, v, a, spins, jnp.zeros(()), rates)
 
     def _initial_spins(self, model: Model, R, omega) -> Spins | None:
         if self.inertia == "none":
@@ -255,7 +250,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             factors.second(u[:, :3], state.v, state.a),
             spins,
             state.external_work + work,
-            jnp.stack([u / dt, state.rates[0]]),
+            predictor.remember(state.rates, u, dt),
         )
 
     def observe(self, model: Model, state: GEMState) -> Observation:
