@@ -15,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxshell.assembly import Tables, analyse
+from jaxshell.assembly import Tables, analyse, nodal_tables
 from jaxshell.checks import check_finite, check_positive, is_concrete, require_float64
+from jaxshell.gradients import Gradients, Stored, scan_steps
 from jaxshell.linear_solver import Handle, LinearSolver, default_solver
 from jaxshell.methods.base import Method, Observation, Solvers
 from jaxshell.model import Model, structure_of
@@ -58,7 +59,8 @@ class Frame(NamedTuple):
 
 class Carry(NamedTuple):
     state: Any
-    memory: Memory
+    memory: Memory | None
+    """None for explicit methods."""
     result: Int[Array, ""]
 
 
@@ -72,6 +74,7 @@ def simulate(
     tangent: str = "closed_form",
     newton: Newton | None = None,
     linear_solver: LinearSolver | None = None,
+    gradients: Gradients | None = None,
     throw: bool = True,
     progress: bool = False,
     output=None,
@@ -90,8 +93,11 @@ def simulate(
         tangent: "closed_form" or "autodiff" (`jax.jacfwd` of the element residual); the same run.
         newton: tolerances and limits of the iteration, see `Newton`.
         linear_solver: `Pardiso()`, `KLU()`, `Dense()`; None chooses for this machine.
+        gradients: what reverse mode keeps of the run: `jaxshell.gradients.Stored()` (the default) the state of
+            every step, `Checkpointed(...)` fewer. Without effect on a run that is not differentiated.
         throw: raise `SimulationError` when the run fails (it carries the solution so far); otherwise the
-            solution's `result` and `message` say so.
+            solution's `result` and `message` say so. A run traced by JAX raises while the compiled program
+            runs; with throw=False everything after the failure is NaN, gradients included.
         progress: show a progress bar.
         output: path of an HDF5 file that receives the results as they come.
         restart: a solution of the same scene and method to go on from.
@@ -104,15 +110,21 @@ def simulate(
     _check_options(scene, method, save_every, tangent, newton)
     steps = _step_sizes(dt, t_end)
     linear_solver = default_solver() if linear_solver is None else linear_solver
-    tables, pattern = analyse(structure_of(scene))
-    handle = linear_solver.prepare(pattern)
+    method.check(scene, steps)
+    if method.uses_matrix:
+        tables, pattern = analyse(structure_of(scene))
+        handle = linear_solver.prepare(pattern)
+    else:
+        empty = jnp.zeros(0, jnp.int32)
+        tables, handle = nodal_tables(structure_of(scene)), Handle(empty, empty, empty, ())
     method, newton = _floats_to_arrays((method, newton))
     choices = Choices(tangent, linear_solver, save_every, scene.watch)
 
     if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, method, newton, steps))):
         if output is not None or progress:
             raise ValueError("output= and progress= need a run that is not traced by jax.grad, jax.vmap or jax.jit.")
-        return _traced_run(scene, method, newton, tables, handle, choices, steps, restart)
+        gradients = Stored() if gradients is None else gradients
+        return _traced_run(scene, method, newton, tables, handle, choices, steps, restart, gradients, throw)
     with Progress(len(steps), enabled=progress) as bar:
         solution = _driven_run(scene, method, newton, tables, handle, choices, steps, output, bar, restart)
     if throw and solution.message:
@@ -137,7 +149,7 @@ def _prepare(scene: Scene, method: Method, newton: Newton, tables: Tables, handl
     """Model, start and its record."""
     model = Model.build(scene, tables)
     state = method.start(model, scene, 0.0)
-    memory = Linear(choices.linear_solver, handle).memory(newton)
+    memory = Linear(choices.linear_solver, handle).memory(newton) if method.uses_matrix else None
     zero = jnp.zeros((), jnp.int32)
     return model, Carry(state, memory, zero + SUCCESSFUL), *_first(model, method, state, choices)
 
@@ -259,17 +271,13 @@ def _writer(output, scene: Scene, settings: dict):
     return ResultWriter(output, scene, settings)
 
 
-def _traced_run(scene, method, newton, tables, handle, choices, steps, restart) -> Solution:
+def _traced_run(
+    scene, method, newton, tables, handle, choices, steps, restart, gradients: Gradients, throw: bool
+) -> Solution:
     model, carry, record, frame = _prepare(scene, method, newton, tables, handle, choices)
     carry, record, frame, start = _resume(model, method, choices, carry, record, frame, restart)
-    save_every = choices.save_every
-    count = steps.shape[0]
-    frames = -(-count // save_every)
-    fill = frames * save_every - count
-    ends = start + jnp.cumsum(jnp.asarray(steps))
-    pairs = tuple(jnp.pad(a, (0, fill), mode=m).reshape(frames, save_every) for a, m in ((steps, "constant"), (ends, "edge")))
-    carry, records, shots = _run(model, method, newton, handle, choices, carry, pairs)
-    records = jax.tree.map(lambda a: a[:count], records)
+    pairs = jnp.asarray(steps), start + jnp.cumsum(jnp.asarray(steps))
+    carry, records, shots = _run_whole(model, method, newton, handle, choices, gradients, carry, pairs)
     record, frame = (
         jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), *parts)
         for parts in ((record, records), (frame, shots))
@@ -277,7 +285,45 @@ def _traced_run(scene, method, newton, tables, handle, choices, steps, restart) 
     result = _results()[0]
     for code, item in enumerate(_results()):
         result = RESULTS.where(carry.result == code, item, result)
-    return _solution(scene, record, frame, carry.state, result, "", Stats(), lambda a: a)
+    solution = _solution(scene, record, frame, carry.state, result, "", Stats(), lambda a: a)
+    return _raise_on_failure(solution) if throw else solution
+
+
+@eqx.filter_jit
+def _run_whole(
+    model: Model, method: Method, newton: Newton, handle: Handle, choices: Choices, gradients: Gradients, carry, steps
+):
+    """A whole run in one program, for transformations by JAX; `steps` (dt, time at its end), (N,) each.
+
+    The state after a failed step is NaN. The steps that follow see that at once and cost one residual each.
+    """
+    solvers = Solvers(newton, Linear(choices.linear_solver, handle), choices.tangent)
+
+    def one(carry: Carry, step):
+        dt, end = step
+        state, info, memory = method.step(model, carry.state, dt, solvers, carry.memory)
+        state = eqx.tree_at(lambda s: s.time, state, end)
+        result = jnp.where(carry.result == SUCCESSFUL, info.result.astype(jnp.int32), carry.result)
+        good = result == SUCCESSFUL
+        # As a factor, so that what is differentiated through a failure is NaN too.
+        factor = jnp.where(good, 1.0, jnp.nan)
+        state = jax.tree.map(lambda a: a * factor if jnp.issubdtype(a.dtype, jnp.inexact) else a, state)
+        record = _record(model, method, state, choices, info.iterations, info.factorizations, good)
+        return Carry(state, memory, result), record
+
+    return scan_steps(
+        gradients, one, lambda carry: _frame(model, carry.state), carry, steps, choices.save_every
+    )
+
+
+def _raise_on_failure(solution: Solution) -> Solution:
+    """Tie an error to every float of a traced solution, so that it comes with values and with gradients alone."""
+    failed = solution.result != RESULTS.successful
+    sound = solution.result.error_if(jnp.array(1.0), failed)
+    floats, rest = eqx.partition(solution, eqx.is_inexact_array)
+    scene = floats.scene
+    floats = jax.tree.map(lambda a: a * sound, floats)
+    return eqx.combine(eqx.tree_at(lambda s: s.scene, floats, scene), rest)
 
 
 def _resume(model, method, choices, carry: Carry, record, frame, restart: Solution | None):
@@ -344,7 +390,7 @@ def _message(code: int, taken: int, at, dt) -> str:
 
 def repr_of(module) -> str:
     """Name and arguments of a method or of Newton, floats as numbers: what a file and the stats quote."""
-    values = (f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}" for name, value in
+    values = (f"{name}={value!r}" if isinstance(value, float) else f"{name}={value}" for name, value in
               ((name, float(v) if isinstance(v, jax.Array) else v) for name, v in vars(module).items()))
     return f"{type(module).__name__}({', '.join(values)})"
 
