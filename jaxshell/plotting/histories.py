@@ -52,7 +52,7 @@ def energy_figure(runs: Runs) -> Figure:
         if np.any(energy.dissipated):
             curves.append((energy.dissipated, "dissipated D", PURPLE, "--"))
         for values, text, colour, dashes in curves:
-            panel.plot(t, values / divisor, label=text, color=colour, linestyle=dashes)
+            panel.plot(t, values / divisor, label=text, color=colour, linestyle=dashes, linewidth=1.0)
         panel.set_title(name)
         panel.tick_params(labelleft=position == 0)
     assert top is not None
