@@ -28,7 +28,7 @@ from jaxshell.checks import check_finite, is_concrete
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
 from jaxshell.elements.inertia import Spins, StepFactors
-from jaxshell.methods import seven_point
+from jaxshell.methods import predictor, seven_point
 from jaxshell.methods.base import Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
 from jaxshell.model import Model, pressure_force, pressure_stiffness
@@ -47,12 +47,8 @@ class NewmarkState(eqx.Module):
     external_work: Float[Array, ""]
     reaction: Float[Array, " nh"]
     """Of the last balance at the held freedoms; (0,) where no support moves."""
-    rates: Float[Array, "2 n 6"]
-    """Increments over Δt of the last two steps, for the predictor."""
-
-    def predictor(self, dt) -> Float[Array, "n 6"]:
-        """Linear extrapolation of the last two steps' mean velocities."""
-        return dt * (2.0 * self.rates[0] - self.rates[1])
+    rates: predictor.Rates
+    """Of the last steps, for the predictor."""
 
 
 class ElementData(NamedTuple):
@@ -100,7 +96,6 @@ class ForceLevelMethod(ImplicitMethod):
 
     def start(self, model: Model, scene, time) -> NewmarkState:
         x, R, v, omega = initial_motion(model, scene)
-        rate = jnp.concatenate([v, omega], axis=1)
         reaction = jnp.zeros(0)
         if model.moving:
             force = model.internal_force(x, R) - _external(model, x, jnp.asarray(time))
@@ -114,7 +109,7 @@ class ForceLevelMethod(ImplicitMethod):
             seven_point.initial_spins(model, R, omega),
             jnp.zeros(()),
             reaction,
-            jnp.stack([rate, rate]),
+            predictor.initial_rates(v, omega),
         )
 
     def begin(self, model: Model, state: NewmarkState, dt):
@@ -147,7 +142,7 @@ class ForceLevelMethod(ImplicitMethod):
             seven_point.turned_spins(model, motion.theta, state.spins, factors),
             state.external_work + work,
             reaction,
-            jnp.stack([u / dt, state.rates[0]]),
+            predictor.remember(state.rates, u, dt),
         )
 
     def observe(self, model: Model, state: NewmarkState) -> Observation:
