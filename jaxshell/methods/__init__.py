@@ -3,6 +3,7 @@
 from jaxshell.methods.base import Method
 from jaxshell.methods.bathe import Bathe
 from jaxshell.methods.central_difference import CentralDifference
+from jaxshell.methods.energy_momentum import EnergyMomentum
 from jaxshell.methods.generalized_energy_momentum import GeneralizedEnergyMomentum
 from jaxshell.methods.newmark import HHT, GeneralizedAlpha, Newmark
 
@@ -10,6 +11,7 @@ __all__ = [
     "HHT",
     "Bathe",
     "CentralDifference",
+    "EnergyMomentum",
     "GeneralizedAlpha",
     "GeneralizedEnergyMomentum",
     "Method",

@@ -16,8 +16,9 @@ from jaxtyping import Array, Float
 from jaxshell.checks import check_finite, is_concrete
 from jaxshell.elements import corotational, energy_momentum
 from jaxshell.elements.corotational import Element
-from jaxshell.elements.energy_momentum import StepStart, edges_of, spin_matrix
+from jaxshell.elements.energy_momentum import StepStart, edges_of, mid_matrix, spin_matrix
 from jaxshell.elements.inertia import LINEAR_MASS
+from jaxshell.methods import predictor
 from jaxshell.methods.base import Forces, ImplicitMethod, Motion, Observation
 from jaxshell.methods.start import initial_motion
 from jaxshell.model import Model, pressure_stiffness
@@ -35,22 +36,18 @@ class EnergyMomentumState(eqx.Module):
     """Ṙ, whose product with an element's normal is the rate of its director."""
     external_work: Float[Array, ""]
     dissipated: Float[Array, ""]
-    rates: Float[Array, "2 n 6"]
-    """Increments over Δt of the last two steps, for the predictor."""
-
-    def predictor(self, dt) -> Float[Array, "n 6"]:
-        """Linear extrapolation of the last two steps' mean velocities."""
-        return dt * (2.0 * self.rates[0] - self.rates[1])
+    rates: predictor.Rates
+    """Of the last steps, for the predictor."""
 
 
-class Inertia(NamedTuple):
+class DirectorMotion(NamedTuple):
     """One element's translational and director motion at the start of the step."""
 
     v: Float[Array, "3 3"]
     director: Float[Array, "3 3"]
     """t_a = R_a n, with n the element's reference normal."""
-    director_rate: Float[Array, "3 3"]
-    """W_a n."""
+    rate: Float[Array, "3 3"]
+    """ṫ_a = W_a n."""
 
 
 class ElementData(NamedTuple):
@@ -59,7 +56,7 @@ class ElementData(NamedTuple):
     element: Element
     x: Float[Array, "3 3"]
     start: StepStart
-    inertia: Inertia
+    inertia: DirectorMotion
     pressure: Float[Array, ""] | None
     """Mean of the step."""
 
@@ -113,18 +110,133 @@ class EnergyMomentum(ImplicitMethod):
         elastic = energy_momentum.elastic_forces(state)
         if data.pressure is not None:
             elastic = elastic - mean_pressure_force(data.x, u[:, :3], data.pressure)
-        force = _translational_mass(data.element) @ (2.0 * (u[:, :3] / step.dt - data.inertia.v) / step.dt)
-        moment = jnp.cross(*_directors(u, data.inertia), _director_acceleration(u, data, step))
-        return Forces(elastic, jnp.stack([force, moment], axis=1).reshape(18))
+        inertial = director_inertia_forces(u, data.inertia, data.element, step.dt)
+        return Forces(elastic, inertial)
 
     def element_tangent(self, motion: Motion, u: Float[Array, "3 6"], data: ElementData, step: Shared):
-        raise NotImplementedError
+        state = energy_momentum.evaluate(data.start, motion.x, motion.R, u, data.element, step.dissipation)
+        K = energy_momentum.elastic_tangent(state, data.start, data.element, step.dissipation)
+        K = K + director_inertia_tangent(motion, u, data.inertia, data.element, step.dt)
+        if data.pressure is not None:
+            K = K - mean_pressure_stiffness(data.x, u[:, :3], data.pressure)
+        return K
 
     # --- the shell -----------------------------------------------------------------------------------------
 
     def start(self, model: Model, scene, time) -> EnergyMomentumState:
         x, R, v, omega = initial_motion(model, scene)
         W = jax.vmap(skew)(omega) @ R
-        rate = jnp.concatenate([v, omega], axis=1)
-        zero = jnp.zeros(())
-        return EnergyMomentumState(jnp.asarray(time, float), x, R, v, W, zero, zero, jnp.stack([rate, rate]))
+        zero, rates = jnp.zeros(()), predictor.initial_rates(v, omega)
+        return EnergyMomentumState(jnp.asarray(time, float), x, R, v, W, zero, zero, rates)
+
+    def begin(self, model: Model, state: EnergyMomentumState, dt):
+        middle = lambda history: 0.5 * (history(state.time) + history(state.time + dt))  # noqa: E731
+        pressure = middle(model.pressure) if model.pressures else None
+        x, R, v, W = model.gather((state.x, state.R, state.v, state.W))
+        normals = model.elements.frame[:, None, None, 2]
+        motion = DirectorMotion(v, jnp.sum(R * normals, axis=3), jnp.sum(W * normals, axis=3))
+        kin = jax.vmap(corotational.kinematics)(x, R, model.elements)
+        data = ElementData(model.elements, x, StepStart(jax.vmap(edges_of)(x), kin), motion, pressure)
+        return data, Shared(dt, self.dissipation), middle(model.dead_load)
+
+    def finish(self, model: Model, state: EnergyMomentumState, dt, u, motion, begun) -> EnergyMomentumState:
+        data, step, loads = begun
+        work, dissipated = jnp.sum(loads * u), state.dissipated
+        if data.pressure is not None:
+            moved = model.gather(u[:, :3])
+            forces = jax.vmap(mean_pressure_force)(data.x, moved, data.pressure).reshape(-1, 3, 2, 3)
+            work = work + jnp.sum(forces[:, :, 0] * moved)
+        if model.moving:
+            # Supports that move work with the reaction, the residual at the held freedoms.
+            reaction = self.balance(model, state, begun, u).residual.reshape(-1)[model.tables.held]
+            work = work + jnp.sum(reaction * u.reshape(-1)[model.tables.held])
+        if self._dissipates:
+            x, R = model.gather((motion.x, motion.R))
+            kin = jax.vmap(corotational.kinematics)(x, R, model.elements)
+            change = kin.deformations - data.start.kin.deformations
+            energies = jax.vmap(corotational.strain_energy)(change, model.elements)
+            dissipated = dissipated + 2.0 * step.dissipation * jnp.sum(energies)
+        # R₁ - R₀ = ~θ R_m, without the digits that a subtraction loses.
+        turned = jax.vmap(skew)(u[:, 3:]) @ (state.R + motion.R)
+        return EnergyMomentumState(
+            state.time + dt,
+            motion.x,
+            motion.R,
+            2.0 * u[:, :3] / dt - state.v,
+            turned / dt - state.W,
+            state.external_work + work,
+            dissipated,
+            predictor.remember(state.rates, u, dt),
+        )
+
+    def observe(self, model: Model, state: EnergyMomentumState) -> Observation:
+        """Energies and momenta, eqs. (27), (28), (34), (61), with the masses that the scheme conserves them with."""
+        elements = model.elements
+        x, R, v, W = model.gather((state.x, state.R, state.v, state.W))
+        normals = elements.frame[:, None, None, 2]
+        directors, rates = jnp.sum(R * normals, axis=3), jnp.sum(W * normals, axis=3)
+        weight = elements.area[:, None, None]
+        momentum = weight * elements.mass_per_area[:, None, None] * (jnp.asarray(LINEAR_MASS) @ v)
+        spin = weight * elements.rotary_inertia[:, None, None] * (jnp.asarray(LINEAR_MASS) @ rates)
+        kinetic = 0.5 * (jnp.sum(v * momentum) + jnp.sum(rates * spin))
+        linear = jnp.sum(momentum, axis=(0, 1))
+        angular = jnp.sum(jnp.cross(x, momentum) + jnp.cross(directors, spin), axis=(0, 1))
+        strain = model.strain_energy(state.x, state.R)
+        return Observation(kinetic, strain, state.external_work, state.dissipated, linear, angular)
+
+
+# --- one element: inertia and pressure --------------------------------------------------------------------
+
+
+def _masses(element: Element) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
+    """∫ N_a N_b dA times ρh and ρh³/12: constant, since velocities and directors are linear in the element."""
+    linear = element.area * jnp.asarray(LINEAR_MASS)
+    return element.mass_per_area * linear, element.rotary_inertia * linear
+
+
+def _director_step(u, start: DirectorMotion, element: Element, dt):
+    """Mid-point directors t_m (3, 3) and the rate of their momenta Σ_b J_ab (ṫ₁ - ṫ₀)_b/Δt (3, 3)."""
+    # t_m = ½ (I + cay(θ)) t₀, from t₁ - t₀ = θ × t_m.
+    middle = jnp.sum(jax.vmap(mid_matrix)(u[:, 3:]) * start.director[:, None, :], axis=2)
+    change = jnp.cross(u[:, 3:], middle)
+    return middle, _masses(element)[1] @ (2.0 * (change / dt - start.rate) / dt)
+
+
+def director_inertia_forces(u, start: DirectorMotion, element: Element, dt) -> Float[Array, "18"]:
+    """Force Σ_b M_ab (v₁ - v₀)_b/Δt and moment t_m,a × Σ_b J_ab (ṫ₁ - ṫ₀)_b/Δt on every node a."""
+    force = _masses(element)[0] @ (2.0 * (u[:, :3] / dt - start.v) / dt)
+    moment = jnp.cross(*_director_step(u, start, element, dt))
+    return jnp.stack([force, moment], axis=1).reshape(18)
+
+
+def director_inertia_tangent(motion: Motion, u, start: DirectorMotion, element: Element, dt):
+    """Derivative of `director_inertia_forces` by u, (18, 18)."""
+    mass, rotary = (2.0 / dt**2 * m for m in _masses(element))
+    middle, rate = _director_step(u, start, element, dt)
+    end = 2.0 * middle - start.director
+    skews = jax.vmap(skew)
+    by_theta = -jnp.sum(skews(end)[..., None] * motion.spin[:, None], axis=2)  # δt₁ = δω × t₁
+    moved = jnp.sum(skews(middle)[:, None, :, :, None] * by_theta[None, :, None], axis=3)  # (a, b, 3, 3)
+    moved = rotary[:, :, None, None] * moved
+    turned = -0.5 * jnp.sum(skews(rate)[..., None] * by_theta[:, None], axis=2)
+    eye = jnp.eye(3)
+    moments = jnp.transpose(moved + eye[:, :, None, None] * turned[:, None], (0, 2, 1, 3))
+    forces = mass[:, None, :, None] * eye[None, :, None, :]
+    zero = jnp.zeros_like(forces)
+    rows = [jnp.stack([forces, zero], axis=3), jnp.stack([zero, moments], axis=3)]
+    return jnp.stack(rows, axis=1).reshape(18, 18)
+
+
+def mean_pressure_force(x, moved, pressure) -> Float[Array, "18"]:
+    """Follower pressure averaged over the straight path from x to x + moved: a constant one does exact work.
+
+    The normal is quadratic along the path, so that Simpson's rule, a_m × b_m + Δa × Δb/12, is exact.
+    """
+    middle, change = edges_of(x + 0.5 * moved), edges_of(moved)
+    normal = jnp.cross(middle[0], middle[1]) + jnp.cross(change[0], change[1]) / 12.0
+    return jnp.tile(jnp.concatenate([pressure / 6.0 * normal, jnp.zeros(3)]), 3)
+
+
+def mean_pressure_stiffness(x, moved, pressure) -> Float[Array, "18 18"]:
+    """Derivative of `mean_pressure_force` by `moved`: that of the pressure at x + ⅔ moved, halved."""
+    return pressure_stiffness(x + 2.0 / 3.0 * moved, 0.5 * pressure)
