@@ -14,10 +14,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxshell.batching import one_by_one
 from jaxshell.gradients import keep
 from jaxshell.methods.predictor import extrapolate
 from jaxshell.model import Model
-from jaxshell.newton import Linear, Newton, Problem, attach_derivative
+from jaxshell.newton import Linear, Newton, Problem, Solved, attach_derivative
 from jaxshell.rotations import H_inverse, exp
 
 
@@ -173,12 +174,7 @@ class ImplicitMethod(Method):
     def step(self, model, state, dt, solvers, memory):
         # The iteration is outside differentiation; its result then gets the derivative of the equations solved.
         fixed = jax.lax.stop_gradient((self, model, state, dt))
-        begun, held, problem = _problem(*fixed, solvers)
-        solved = keep(
-            solvers.newton.solve(
-                problem, model.free(fixed[0].predict(*fixed[1:])), *_scales(fixed[1]), solvers.linear, memory
-            )
-        )
+        solved = keep(one_by_one(_converge, *fixed, solvers, memory))
         begun, held, problem = _problem(self, model, state, dt, solvers)
         free = attach_derivative(
             solvers.linear.solver,
@@ -190,6 +186,13 @@ class ImplicitMethod(Method):
         u = model.expand(free, held)
         info = StepInfo(solved.result, solved.iterations, solved.factorizations, solved.correction)
         return self.finish(model, state, dt, u, self.motion(state, u), begun), info, solved.memory
+
+
+def _converge(method: ImplicitMethod, model: Model, state, dt, solvers: Solvers, memory) -> Solved:
+    """Newton's iteration of one step."""
+    _, _, problem = _problem(method, model, state, dt, solvers)
+    guess = model.free(method.predict(model, state, dt))
+    return solvers.newton.solve(problem, guess, *_scales(model), solvers.linear, memory)
 
 
 def _scales(model: Model):
