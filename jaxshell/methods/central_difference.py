@@ -126,7 +126,9 @@ class CentralDifference(Method):
             against = 0.5 * (state.internal + internal - state.load - load) * u
             carried = 0.5 * mass * (rates**2 - state.rates**2)
             work = work + jnp.sum((against + carried).reshape(-1)[held])
-        supplied = jnp.maximum(state.supplied, state.initial_energy + work)
+        # The velocity at the end already holds the second half of this step's kick, whose work follows.
+        coming = 0.5 * dt * jnp.sum(load * rates)
+        supplied = jnp.maximum(state.supplied, state.initial_energy + work + coming)
         new = ExplicitState(
             end, x, R, rates, load, internal, strain, work, state.initial_energy, supplied, mass
         )
