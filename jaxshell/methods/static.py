@@ -37,10 +37,6 @@ class StaticState(eqx.Module):
     """Zero: nothing moves."""
     external_work: Float[Array, ""]
 
-    def predictor(self, dt) -> Float[Array, "n 6"]:
-        """None: Newton starts where the last step ended, since what it extrapolates stretches the membrane."""
-        return jnp.zeros((self.x.shape[0], 6))
-
 
 class ElementData(NamedTuple):
     """Constants of one element during a step."""
@@ -94,6 +90,10 @@ class Static(ImplicitMethod):
     def start(self, model: Model, scene, time) -> StaticState:
         x, R, v, _ = initial_motion(model, scene)
         return StaticState(jnp.asarray(time, float), x, R, jnp.zeros_like(v), jnp.zeros(()))
+
+    def predict(self, model: Model, state: StaticState, dt) -> Float[Array, "n 6"]:
+        """Newton starts where the last step ended, since what one extrapolates stretches the membrane."""
+        return jnp.zeros((state.x.shape[0], 6))
 
     def begin(self, model: Model, state: StaticState, dt):
         end = state.time + dt
