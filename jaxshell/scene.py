@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxshell.checks import check_finite, check_shape, float_array
+from jaxshell.checks import check_finite, check_shape, float_array, is_concrete
 from jaxshell.frozen import Frozen
 from jaxshell.loads import Load
 from jaxshell.mesh import Mesh
@@ -17,6 +17,10 @@ from jaxshell.section import Section
 from jaxshell.supports import Support
 
 WATCHABLE = ("ux", "uy", "uz", "vx", "vy", "vz")
+
+
+def _optional_array(value):
+    return None if value is None else float_array(value)
 
 
 class Initial(eqx.Module):
@@ -27,17 +31,23 @@ class Initial(eqx.Module):
         angular_velocities: (n, 3) nodal angular velocities in space [rad/time].
         displacements: (n, 3) nodal displacements from the stress-free shape [length].
         rotations: (n, 3, 3) nodal rotation matrices from the stress-free shape.
+
+    Raises ValueError for NaN and for matrices that are no rotations.
     """
 
-    velocities: Float[jax.Array, "n 3"] | None = None
-    angular_velocities: Float[jax.Array, "n 3"] | None = None
-    displacements: Float[jax.Array, "n 3"] | None = None
-    rotations: Float[jax.Array, "n 3 3"] | None = None
+    velocities: Float[jax.Array, "n 3"] | None = eqx.field(converter=_optional_array, default=None)
+    angular_velocities: Float[jax.Array, "n 3"] | None = eqx.field(converter=_optional_array, default=None)
+    displacements: Float[jax.Array, "n 3"] | None = eqx.field(converter=_optional_array, default=None)
+    rotations: Float[jax.Array, "n 3 3"] | None = eqx.field(converter=_optional_array, default=None)
 
     def __check_init__(self):
         for name in ("velocities", "angular_velocities", "displacements", "rotations"):
             if getattr(self, name) is not None:
                 check_finite(f"initial {name}", getattr(self, name))
+        if self.rotations is not None:
+            check_shape("initial rotations", self.rotations, (None, 3, 3))
+            if is_concrete(self.rotations):
+                _check_rotations(np.asarray(self.rotations))
 
     @classmethod
     def rigid(cls, mesh: Mesh, velocity=(0.0, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.0), about=None) -> "Initial":
@@ -157,6 +167,14 @@ def _check_nodes(what: str, nodes: np.ndarray, n_nodes: int) -> None:
     outside = (nodes < 0) | (nodes >= n_nodes)
     if outside.any():
         raise ValueError(f"{what} names node {nodes[outside][0]}, but the mesh has nodes 0 to {n_nodes - 1}.")
+
+
+def _check_rotations(R: np.ndarray) -> None:
+    error = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
+    bad = (error > 1e-8) | (np.linalg.det(R) < 0)
+    if bad.any():
+        node = int(np.argmax(bad))
+        raise ValueError(f"initial rotations: the matrix of node {node} is no rotation: {R[node].tolist()}.")
 
 
 def _repeats(numbers: np.ndarray) -> np.ndarray:

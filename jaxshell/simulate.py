@@ -405,6 +405,7 @@ def _floats_to_arrays(tree):
 
 
 def _step_sizes(dt, t_end):
+    dt = np.asarray(dt, float) if isinstance(dt, list | tuple) else dt
     check_positive("dt", dt)
     if np.ndim(dt) == 1:
         if t_end is not None:

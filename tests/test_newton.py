@@ -1,0 +1,145 @@
+"""Newton's iteration on two equations with a known root: when it stops, what it says when it fails."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxshell.linear_solver import Dense
+from jaxshell.methods.base import Balance
+from jaxshell.newton import (
+    DIVERGED,
+    SINGULAR,
+    STAGNATED,
+    SUCCESSFUL,
+    Linear,
+    Newton,
+    Problem,
+    attach_derivative,
+)
+from jaxshell.sparsity import SparsityPattern
+
+PATTERN = SparsityPattern(2, np.array([0, 2, 4]), np.array([0, 1, 0, 1]))
+SOLVER = Dense()
+ROTATES = jnp.array([False, True])
+SIZE = 10.0
+
+
+def residual(u, load):
+    """x³ + x + θ = load, θ + sin(x)/2 = 1: a displacement x and a rotation θ."""
+    x, theta = u
+    return jnp.stack([x**3 + x + theta - load, theta + 0.5 * jnp.sin(x) - 1.0])
+
+
+def problem(function) -> Problem:
+    return Problem(
+        lambda u: Balance(function(u), jnp.array(10.0), jnp.array(1.0)),
+        lambda u, last: jax.jacfwd(function)(u).reshape(-1),
+        lambda nodal: nodal,
+    )
+
+
+def linear() -> Linear:
+    return Linear(SOLVER, SOLVER.prepare(PATTERN))
+
+
+@eqx.filter_jit
+def solve(newton: Newton, load, guess):
+    equations, solver = problem(lambda u: residual(u, load)), linear()
+    return newton.solve(equations, guess, SIZE, ROTATES, solver, solver.memory(newton))
+
+
+def root(load) -> np.ndarray:
+    u = np.zeros(2)
+    for _ in range(60):
+        u -= np.linalg.solve(np.asarray(jax.jacfwd(residual)(jnp.asarray(u), load)), residual(u, load))
+    return u
+
+
+GUESS = jnp.array([0.5, 0.8])
+
+
+def test_it_stops_without_a_solve_too_many():
+    """The contraction tells that the next correction is small; the paper's ‖ΔQ‖ solves once more for it."""
+    exact = root(4.0)
+    found = solve(Newton(), 4.0, GUESS)
+    assert int(found.result) == SUCCESSFUL
+    np.testing.assert_allclose(found.free, exact, atol=1e-8)
+    by_norm = solve(Newton(tolerance=1e-6, criterion="norm"), 4.0, GUESS)
+    assert int(by_norm.result) == SUCCESSFUL
+    np.testing.assert_allclose(by_norm.free, exact, atol=1e-10)
+    predicted, norm = (solve(Newton(1e-10, criterion=name), 4.0, GUESS) for name in ("predicted", "norm"))
+    np.testing.assert_allclose(predicted.free, norm.free, atol=1e-10)
+    assert int(predicted.iterations) == int(norm.iterations) - 1
+
+
+def test_at_the_root_nothing_is_solved():
+    assert int(solve(Newton(), 4.0, jnp.asarray(root(4.0))).iterations) <= 1
+
+
+def test_a_kept_factorization_gives_the_same_root():
+    fresh, kept = (solve(Newton(reuse=reuse), 4.0, jnp.asarray(root(3.8))) for reuse in (False, True))
+    assert int(kept.result) == SUCCESSFUL
+    np.testing.assert_allclose(kept.free, fresh.free, atol=1e-8)
+    assert int(kept.factorizations) < int(kept.iterations)
+    assert int(fresh.factorizations) == int(fresh.iterations)
+
+
+def test_rotations_of_an_iterate_are_bounded():
+    far = jnp.array([0.5, 30.0])
+    found = solve(Newton(max_rotation=0.5, max_iterations=2), 4.0, far)
+    assert abs(float(found.free[1]) - 30.0) <= 2 * 0.5 + 1e-12
+    assert int(found.result) == STAGNATED and int(found.iterations) == 2
+    assert int(solve(Newton(max_rotation=0.5, max_iterations=100), 4.0, far).result) == SUCCESSFUL
+
+
+@pytest.mark.parametrize(
+    ("function", "result"),
+    [
+        (lambda u: jnp.stack([u[0] + u[1] - 1.0, u[0] + u[1] - 2.0]), SINGULAR),
+        (lambda u: jnp.stack([u[0] * jnp.nan, u[1]]), DIVERGED),
+        (lambda u: jnp.stack([1e-9 * u[0] - 1e7, u[1]]), DIVERGED),
+        (lambda u: jnp.stack([u[0] ** 2 + 1.0, u[1]]), STAGNATED),
+    ],
+    ids=["singular", "not a number", "far away", "without a root"],
+)
+def test_failures_are_results_with_finite_numbers(function, result):
+    newton, handle = Newton(max_iterations=12), linear()
+
+    @jax.jit
+    def run(guess):
+        return newton.solve(problem(function), guess, SIZE, ROTATES, handle, handle.memory(newton))
+
+    found = run(GUESS)
+    assert int(found.result) == result
+    assert np.all(np.isfinite(found.free))
+
+
+def test_the_derivative_is_the_implicit_functions():
+    """du/dload = K⁻¹ (1, 0), forward and reverse, whatever the iteration did."""
+
+    def solution(load):
+        u = jax.lax.stop_gradient(solve(Newton(tolerance=1e-12), load, GUESS).free)
+        K = jax.lax.stop_gradient(jax.jacfwd(residual)(u, load)).reshape(-1)
+        return attach_derivative(SOLVER, linear().handle, u, residual(u, load), K)
+
+    K = np.asarray(jax.jacfwd(residual)(jnp.asarray(root(4.0)), 4.0))
+    expected = np.linalg.solve(K, [1.0, 0.0])
+    np.testing.assert_allclose(jax.jacfwd(solution)(4.0), expected, rtol=1e-10)
+    np.testing.assert_allclose(jax.jacrev(solution)(4.0), expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("values", "named"),
+    [
+        ({"tolerance": 0.0}, "tolerance .* 0"),
+        ({"tolerance": float("nan")}, "tolerance .* nan"),
+        ({"max_iterations": 0}, "max_iterations .* 0"),
+        ({"max_rotation": -1.0}, "max_rotation .* -1"),
+        ({"criterion": "energy"}, "criterion .* 'energy'"),
+    ],
+)
+def test_settings_out_of_range_are_refused(values, named):
+    with pytest.raises(ValueError, match=named):
+        Newton(**values)
