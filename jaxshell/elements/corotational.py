@@ -193,12 +193,11 @@ class GeometricParts(NamedTuple):
     D: Float[Array, "3 3 3"]
 
     def matrix(self, kin: Kinematics) -> Float[Array, "18 18"]:
-        """The matrix itself."""
+        """The matrix itself, in global axes."""
         G = frame_spin(kin)
-        K = product(self.X, G) + transposed_product(G, self.Y)
-        for a in range(3):
-            K = K.at[6 * a + 3 : 6 * a + 6, 6 * a + 3 : 6 * a + 6].add(self.D[a])
-        return K
+        K = product(self.X, G) + transposed_product(G, self.Y) + on_rotations(self.D).reshape(18, 18)
+        rows = gradient_to_global(K, kin)
+        return gradient_to_global(rows.T, kin).T
 
 
 def _skews(vectors) -> Float[Array, "k 3 3"]:

@@ -60,8 +60,16 @@ class Static(ImplicitMethod):
     def element_tangent(self, motion, u, data: ElementData, step) -> Float[Array, "18 18"]:
         kin = corotational.kinematics(motion.x, motion.R, data.element)
         f = _stresses(kin, data)
-        K = corotational.stiffness(kin, f, data.element, motion.spin)
-        return K if data.pressure is None else K - pressure_stiffness(motion.x, data.pressure)
+        gradient = corotational.deformation_gradient(kin)
+        K = corotational.material_stiffness(gradient, gradient, data.element)
+        K = K + corotational.geometric_stiffness(kin, f, corotational.local_forces(kin, f))
+        K = corotational.matrix_to_global(K, kin)
+        if data.pressure is not None:
+            K = K - pressure_stiffness(motion.x, data.pressure)
+        # From spins to the unknown rotation vectors.
+        K = K.reshape(18, 3, 2, 3)
+        turned = jnp.einsum("rbi,bij->rbj", K[:, :, 1], motion.spin)
+        return jnp.stack([K[:, :, 0], turned], axis=2).reshape(18, 18)
 
     def mixed_matrices(self, model: Model, state, begun, u, last, tangent: str) -> Float[Array, "m 18 18"]:
         def excess(u, last, x, R, element):
