@@ -19,11 +19,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.lax import optimization_barrier
 from jaxtyping import Array, Float
 
 from jaxshell import rotations
 from jaxshell.elements.bending import bending_stiffness
 from jaxshell.elements.membrane import membrane_stiffness
+from jaxshell.elements.products import columns_times, dot, product, transposed_product
 
 # Rows of the 9×9 membrane (u, v, θz per node) and bending (w, θx, θy per node) stiffness that are kept.
 _MEMBRANE_KEPT = np.array([3, 6, 7, 2, 5, 8])
@@ -94,10 +96,11 @@ def local_frame(x) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
 def kinematics(x, R, element: Element) -> Kinematics:
     """Local frame, deformational rotations and deformations, eqs. (54)-(59), from x (3, 3) and R (3, 3, 3)."""
     frame, coordinates = local_frame(x)
-    # eq. (56); products of 3×3 matrices as sums, which XLA fuses with what stands around them
-    to_local = jnp.sum(frame[None, :, :, None] * R[:, None, :, :], axis=2)
-    R_local = jnp.sum(to_local[:, :, None, :] * element.frame[None, None, :, :], axis=3)
-    theta = jax.vmap(rotations.log)(R_local)
+
+    def deformational_rotation(R):  # eq. (56)
+        return rotations.log(product(product(frame, R), element.frame.T))
+
+    theta = jax.vmap(deformational_rotation)(R)
     H = jax.vmap(rotations.H)(theta)
     deformations = jnp.concatenate([coordinates - element.coordinates, theta[:, 2], theta[:, :2].reshape(6)])
     return Kinematics(frame, coordinates, theta, H, deformations)
@@ -105,12 +108,14 @@ def kinematics(x, R, element: Element) -> Kinematics:
 
 def stresses(deformations, element: Element) -> Float[Array, "12"]:
     """f̂ = K̂ e, the forces conjugate to the deformations: eq. (60) for the entries kept."""
-    return jnp.concatenate([element.K_membrane @ deformations[:6], element.K_bending @ deformations[6:]])
+    return jnp.concatenate(
+        [product(element.K_membrane, deformations[:6]), product(element.K_bending, deformations[6:])]
+    )
 
 
 def strain_energy(deformations, element: Element) -> Float[Array, ""]:
     """S = ½ eᵀ K̂ e, eq. (61) [force·length]."""
-    return 0.5 * jnp.sum(deformations * stresses(deformations, element))
+    return 0.5 * dot(deformations, stresses(deformations, element))
 
 
 def _moments(f) -> Float[Array, "3 3"]:
@@ -131,10 +136,10 @@ def spin_gradient(coordinates) -> Float[Array, "3 3 3"]:
 def local_forces(kin: Kinematics, f) -> Float[Array, "3 2 3"]:
     """Projected nodal forces and moments n̄_a, m̄_a = P̄ᵀ H̄ᵀ f̄ in the corotated frame. Shape (a, force/moment, 3)."""
     _, bx, by = kin.coordinates
-    moments = jnp.sum(kin.H * _moments(f)[:, :, None], axis=1)
+    moments = jax.vmap(lambda H, m: product(m, H))(kin.H, _moments(f))
     # What turns the frame: the nodal moments (-Ḡ_b in eq. (67)) and the membrane forces at node 3.
-    turning = -jnp.sum(moments, axis=0) + jnp.stack([0.0 * bx, 0.0 * bx, by * f[1] - bx * f[2]])
-    forces = jnp.sum(spin_gradient(kin.coordinates) * turning[None, :, None], axis=1)
+    turning = -(moments[0] + moments[1] + moments[2]) + jnp.stack([0.0 * bx, 0.0 * bx, by * f[1] - bx * f[2]])
+    forces = jax.vmap(lambda G: product(turning, G))(spin_gradient(kin.coordinates))
     zero = jnp.zeros_like(bx)
     direct = jnp.stack([-f[0] - f[1], -f[2], zero, f[0], zero, zero, f[1], f[2], zero]).reshape(3, 3)
     return jnp.stack([forces + direct, moments], axis=1)
@@ -142,7 +147,7 @@ def local_forces(kin: Kinematics, f) -> Float[Array, "3 2 3"]:
 
 def to_global(local, kin: Kinematics) -> Float[Array, "18"]:
     """Tᵀ applied to (3, 2, 3) nodal forces and moments; entries ordered as δq = {δd_1, δω_1, δd_2, ...}."""
-    return jnp.sum(local[:, :, :, None] * kin.frame[None, None, :, :], axis=2).reshape(18)
+    return product(local, kin.frame).reshape(18)
 
 
 def internal_force(x, R, element: Element) -> Float[Array, "18"]:
@@ -151,11 +156,11 @@ def internal_force(x, R, element: Element) -> Float[Array, "18"]:
     return to_global(local_forces(kin, stresses(kin.deformations, element)), kin)
 
 
-# --- matrices in the corotated frame ----------------------------------------------------------------------
+# --- matrices ---------------------------------------------------------------------------------------------
 
 
 def frame_spin(kin: Kinematics) -> Float[Array, "3 18"]:
-    """Ḡ, eq. (77): ω̄_e = Ḡ δq̄."""
+    """Ḡ, eq. (77): ω̄_e = Ḡ δq̄, in the corotated frame."""
     G = jnp.transpose(spin_gradient(kin.coordinates), (1, 0, 2))
     return jnp.concatenate([G, jnp.zeros_like(G)], axis=2).reshape(3, 18)
 
@@ -165,8 +170,8 @@ def deformation_gradient(kin: Kinematics) -> Float[Array, "12 18"]:
     _, bx, by = kin.coordinates
     G = frame_spin(kin)
     metric = jnp.asarray(_METRIC) + jnp.stack([0.0 * by, by, -bx])[:, None] * G[2]
-    relative = jnp.asarray(_SPINS) - G[None]  # δω̄_a - ω̄_e
-    turn = jnp.sum(kin.H[:, :, :, None] * relative[:, None, :, :], axis=2)
+    # H(θ̄_a) (δω̄_a - ω̄_e)
+    turn = jax.vmap(lambda H, spin: product(H, spin - G))(kin.H, jnp.asarray(_SPINS))
     return jnp.concatenate([metric, turn[:, 2], turn[:, :2].reshape(6, 18)])
 
 
@@ -177,18 +182,41 @@ for _a in range(3):
     _SPINS[_a, :, 6 * _a + 3 : 6 * _a + 6] = np.eye(3)
 
 
+class GeometricParts(NamedTuple):
+    """A geometric stiffness in the corotated frame as X Ḡ + Ḡᵀ Y + diag(D at the rotations of each node).
+
+    All three terms of eq. (74) have this form, and cost little in it.
+    """
+
+    X: Float[Array, "18 3"]
+    Y: Float[Array, "3 18"]
+    D: Float[Array, "3 3 3"]
+
+    def matrix(self, kin: Kinematics) -> Float[Array, "18 18"]:
+        """The matrix itself, in global axes."""
+        G = frame_spin(kin)
+        K = product(self.X, G) + transposed_product(G, self.Y) + on_rotations(self.D).reshape(18, 18)
+        rows = gradient_to_global(K, kin)
+        return gradient_to_global(rows.T, kin).T
+
+
 def _skews(vectors) -> Float[Array, "k 3 3"]:
     return jax.vmap(rotations.skew)(vectors)
 
 
-def rotational_stiffness(kin: Kinematics, local) -> Float[Array, "18 18"]:
-    """K_GR of eq. (75) in the corotated frame, -F̄_nm Ḡ; `local` (3, 2, 3) are the projected forces."""
+def _columns(forces, moments) -> Float[Array, "3 18"]:
+    """(3, 18) from the (a, 3, 3) blocks at the displacements and at the rotations of the nodes."""
+    return jnp.transpose(jnp.stack([forces, moments], axis=1), (2, 0, 1, 3)).reshape(3, 18)
+
+
+def rotational_stiffness(local) -> GeometricParts:
+    """K_GR of eq. (75), -F̄_nm Ḡ; `local` (3, 2, 3) are the projected forces."""
     F_nm = _skews(local.reshape(6, 3)).reshape(18, 3)
-    return -F_nm @ frame_spin(kin)
+    return GeometricParts(-F_nm, jnp.zeros((3, 18)), jnp.zeros((3, 3, 3)))
 
 
-def projection_stiffness(kin: Kinematics, local) -> Float[Array, "18 18"]:
-    """K_GP of eq. (78) in the corotated frame, -Ḡᵀ F̄_nᵀ P̄; `local` (3, 2, 3) are the projected forces.
+def projection_stiffness(kin: Kinematics, local) -> GeometricParts:
+    """K_GP of eq. (78), -Ḡᵀ F̄_nᵀ P̄; `local` (3, 2, 3) are the projected forces.
 
     The translational rows of P̄, eq. (67), are U_ab + ~x̄_a Ḡ_b, and the forces sum to zero, which leaves
     F̄_nᵀ P̄ = -[~n̄_b] - (Σ_a ~n̄_a ~x̄_a) Ḡ.
@@ -196,58 +224,88 @@ def projection_stiffness(kin: Kinematics, local) -> Float[Array, "18 18"]:
     length, bx, by = kin.coordinates
     zero = jnp.zeros_like(length)
     n = _skews(local[:, 0])
-    positions = jnp.stack([zero, zero, zero, length, zero, zero, bx, by, zero]).reshape(3, 3)
-    turned = jnp.sum(n[:, :, :, None] * _skews(positions)[:, None, :, :], axis=(0, 2))
-    G = frame_spin(kin)
-    spread = jnp.stack([n, jnp.zeros_like(n)], axis=1)
-    return G.T @ (jnp.transpose(spread, (2, 0, 1, 3)).reshape(3, 18) + turned @ G)
+    # ~n ~x = x nᵀ - (n·x) I; node 1 is the origin.
+    x2, x3 = jnp.stack([length, zero, zero]), jnp.stack([bx, by, zero])
+    n2, n3 = local[1, 0], local[2, 0]
+    turned = x2[:, None] * n2 + x3[:, None] * n3 - (dot(n2, x2) + dot(n3, x3)) * jnp.eye(3)
+    Y = _columns(n, jnp.zeros_like(n)) + product(turned, frame_spin(kin))
+    return GeometricParts(jnp.zeros((18, 3)), Y, jnp.zeros((3, 3, 3)))
 
 
 def moment_corrections(kin: Kinematics, f) -> Float[Array, "3 3 3"]:
     """M̄_a of eq. (82) for the three nodes: the derivative of H(θ̄)ᵀ m̄ times H(θ̄); `f` are the 12 stresses."""
 
     def one(theta, m, H):
-        theta_sq = jnp.sum(theta * theta)
+        theta_sq = dot(theta, theta)
         eta, mu = rotations.eta(theta_sq), rotations.mu(theta_sq)
-        dot, skew = jnp.sum(theta * m), rotations.skew(theta)
+        along = dot(theta, m)
         outer = theta[:, None] * m[None, :]
-        twice = skew @ (skew @ m)
-        D = eta * (dot * jnp.eye(3) + outer - 2.0 * outer.T) + mu * twice[:, None] * theta[None, :]
-        return (D - 0.5 * rotations.skew(m)) @ H
+        twice = along * theta - theta_sq * m  # ~θ~θ m
+        D = eta * (along * jnp.eye(3) + outer - 2.0 * outer.T) + mu * twice[:, None] * theta[None, :]
+        return product(D - 0.5 * rotations.skew(m), H)
 
     return jax.vmap(one)(kin.theta, _moments(f), kin.H)
 
 
-def moment_correction_stiffness(kin: Kinematics, f) -> Float[Array, "18 18"]:
-    """K_GM of eq. (80) in the corotated frame, P̄ᵀ M̄ P̄; `f` are the 12 stresses."""
-    relative = jnp.asarray(_SPINS) - frame_spin(kin)[None]
-    return jnp.einsum("aik,aij,ajl->kl", relative, moment_corrections(kin, f), relative)
+def moment_correction_stiffness(kin: Kinematics, f) -> GeometricParts:
+    """K_GM of eq. (80), P̄ᵀ M̄ P̄, whose rotational rows of P̄ are δω̄_a - ω̄_e; `f` are the 12 stresses."""
+    M = moment_corrections(kin, f)
+    zero = jnp.zeros_like(M)
+    X = -jnp.stack([zero, M], axis=1).reshape(18, 3)
+    Y = product(M[0] + M[1] + M[2], frame_spin(kin)) - _columns(zero, M)
+    return GeometricParts(X, Y, M)
 
 
-def geometric_stiffness(kin: Kinematics, f, local) -> Float[Array, "18 18"]:
-    """K_GR + K_GP + K_GM, eq. (74), in the corotated frame: the derivative of Λᵀ f̄ at fixed stresses `f`."""
-    return (
-        rotational_stiffness(kin, local) + projection_stiffness(kin, local) + moment_correction_stiffness(kin, f)
+def geometric_parts(kin: Kinematics, f, local) -> GeometricParts:
+    """K_GR + K_GP + K_GM, eq. (74): the derivative of Λᵀ f̄ at fixed stresses `f`, in the corotated frame."""
+    terms = rotational_stiffness(local), projection_stiffness(kin, local), moment_correction_stiffness(kin, f)
+    return GeometricParts(*(a + b + c for a, b, c in zip(*terms, strict=True)))
+
+
+def gradient_to_global(Lambda, kin: Kinematics) -> Float[Array, "r 18"]:
+    """Λ T for the (r, 18) rows of a gradient in the corotated frame."""
+    return product(Lambda.reshape(-1, 6, 3), kin.frame).reshape(-1, 18)
+
+
+def stiffness(kin: Kinematics, f, element: Element, spin, material=1.0, geometric=1.0, average=None):
+    """Tangent stiffness in global axes, (18, 18), eq. (85), or eq. (97) at the generalised mid-point.
+
+    Arguments:
+        f: (12,) stresses of the geometric part.
+        spin: (3, 3, 3) derivatives of the nodal spins by the unknown rotations; None for the spins themselves.
+        material, geometric: factors of the two parts.
+        average: what to do with Λ (12, 18) in global axes where it stands on the left; None leaves it.
+
+    One product of 18 terms: twelve deformations, and three of each of Ḡ and Ḡᵀ, see `GeometricParts`.
+    """
+    # The barriers keep XLA from forming the entries of one factor anew in every entry of a product.
+    kin, f = optimization_barrier((kin, f))
+    Lambda, G, parts = optimization_barrier(
+        (deformation_gradient(kin), frame_spin(kin), geometric_parts(kin, f, local_forces(kin, f)))
     )
+    K_Lambda = [product(element.K_membrane, Lambda[:6]), product(element.K_bending, Lambda[6:])]
+    left = jnp.concatenate([Lambda, parts.X.T, G])
+    right = jnp.concatenate([material * jnp.concatenate(K_Lambda), geometric * G, geometric * parts.Y])
+    left, right = optimization_barrier((left, right))
+    left = gradient_to_global(left, kin)
+    if average is not None:
+        left = jnp.concatenate([average(left[:12]), left[12:]])
+    frames = jnp.broadcast_to(kin.frame, (3, 3, 3))
+    turns = frames if spin is None else jax.vmap(lambda S: product(kin.frame, S))(spin)
+    turns = jnp.stack([frames, turns], axis=1)
+    right = columns_times(right.reshape(18, 6, 3), turns.reshape(6, 3, 3)).reshape(18, 18)
+    D = jax.vmap(lambda D, T: transposed_product(kin.frame, product(geometric * D, T)))(parts.D, turns[:, 1])
+    left, right, D = optimization_barrier((left, right, D))
+    return (transposed_product(left, right).reshape(3, 6, 3, 6) + on_rotations(D)).reshape(18, 18)
 
 
-def material_stiffness(gradient, left_gradient, element: Element) -> Float[Array, "18 18"]:
-    """Λ_leftᵀ K̄ Λ, eq. (84), from the (12, 18) gradients; the two differ at the paper's generalised mid-point."""
-    K_Lambda = jnp.concatenate([element.K_membrane @ gradient[:6], element.K_bending @ gradient[6:]])
-    return left_gradient.T @ K_Lambda
-
-
-def matrix_to_global(K, kin: Kinematics) -> Float[Array, "18 18"]:
-    """Tᵀ K T for an (18, 18) matrix in the corotated frame."""
-    blocks = K.reshape(6, 3, 6, 3)
-    half = jnp.einsum("aibj,jn->aibn", blocks, kin.frame)
-    return jnp.einsum("im,aibn->ambn", kin.frame, half).reshape(18, 18)
+def on_rotations(D: Float[Array, "3 3 3"]) -> Float[Array, "3 6 3 6"]:
+    """The matrix, axes (node, dof, node, dof), with the blocks D at the rotations of each node."""
+    D = jnp.pad(D, ((0, 0), (3, 0), (3, 0)))
+    return D[:, :, None, :] * jnp.eye(3)[:, None, :, None]
 
 
 def tangent_stiffness(x, R, element: Element) -> Float[Array, "18 18"]:
     """K_Stat, eq. (85): the derivative of `internal_force` with respect to displacements and spins."""
     kin = kinematics(x, R, element)
-    f = stresses(kin.deformations, element)
-    Lambda = deformation_gradient(kin)
-    K = material_stiffness(Lambda, Lambda, element) + geometric_stiffness(kin, f, local_forces(kin, f))
-    return matrix_to_global(K, kin)
+    return stiffness(kin, stresses(kin.deformations, element), element, None)

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell import rotations
+from jaxshell.elements.products import dot, product
 
 
 def _seven_point_rule() -> tuple[np.ndarray, np.ndarray]:
@@ -67,67 +68,78 @@ class StepFactors(NamedTuple):
 
 
 def apply_inertia(axis, rotary_inertia, vector):
-    """I_ρ v = (ρh³/12) (v - e3⁰ e3⁰·v), eq. (32); `axis` is e3⁰ (3,)."""
+    """I_ρ v = (ρh³/12) (v - t t·v), eq. (32); `axis` (..., 3) is the director t in the frame of v."""
     return rotary_inertia * (vector - axis * jnp.sum(vector * axis, axis=-1, keepdims=True))
-
-
-def inertia_tensor(axis, rotary_inertia) -> Float[Array, "3 3"]:
-    """I_ρ of eq. (32) in global axes."""
-    return rotary_inertia * (jnp.eye(3) - axis[:, None] * axis[None, :])
 
 
 def end_of_step(theta, start: Spins, factors: StepFactors) -> Spins:
     """Spins at the end of the step for one point, eqs. (103), (13), (14); θ (3,) is its rotation in the step."""
     material = theta @ start.R
     return Spins(
-        rotations.exp(theta) @ start.R,
+        product(rotations.exp(theta), start.R),
         factors.first(material, start.Omega, start.Omega_dot),
         factors.second(material, start.Omega, start.Omega_dot),
     )
 
 
-class MidPoint(NamedTuple):
-    """One point's inertial moment per area and its derivative with respect to the rotation vector of the step."""
+class PointStart(NamedTuple):
+    """A point at the start of the step, with its material vectors turned into space by R_n.
 
-    moment: Float[Array, "3"]
-    stiffness: Float[Array, "3 3"]
+    In that frame Θ is θ itself, and R R_nᵀ is the step's rotation exp(~θ): no matrix of the history is needed.
+    """
+
+    director: Float[Array, "*p 3"]
+    """R_n e3⁰."""
+    rate: Float[Array, "*p 3"]
+    """R_n Ω_n."""
+    acceleration: Float[Array, "*p 3"]
+    """R_n Ω̇_n."""
+
+    @classmethod
+    def of(cls, spins: Spins, axis: Float[Array, "3"]) -> "PointStart":
+        """For spins (..., 3, 3) of one element with the director `axis` (3,) in its stress-free shape."""
+        return cls(*(product(spins.R, v) if v.ndim == 1 else dot(spins.R, v[..., None, :])
+                     for v in (axis, spins.Omega, spins.Omega_dot)))
 
 
-def point_inertia(theta, start: Spins, axis, rotary_inertia, factors: StepFactors, centrifugal: bool = True):
-    """R (I_ρ Ω̇ + ~Ω I_ρ Ω) at the generalised mid-point, eqs. (40), (88), (91), for one point, per area."""
-    end = end_of_step(theta, start, factors)
-    R = factors.mid(end.R, start.R, factors.alpha_f)
-    rate = factors.mid(end.Omega, start.Omega, factors.alpha_f)
-    acceleration = factors.mid(end.Omega_dot, start.Omega_dot, factors.alpha_m)
-    a = apply_inertia(axis, rotary_inertia, acceleration)
+def _mid_point(theta, start: PointStart, factors: StepFactors, centrifugal: bool):
+    """exp(~θ), its average with I, Ω at the mid-point and a = I_ρ Ω̇ + ~Ω I_ρ Ω over ρh³/12, in the start's frame."""
+    end = rotations.exp(theta)
+    averaged = factors.mid(end, jnp.eye(3), factors.alpha_f)
+    t, first, second = start.director, start.rate, start.acceleration
+    rate = factors.mid(factors.first(theta, first, second), first, factors.alpha_f)
+    acceleration = factors.mid(factors.second(theta, first, second), second, factors.alpha_m)
+    a = acceleration - dot(acceleration, t) * t
     if centrifugal:
-        a = a + jnp.cross(rate, apply_inertia(axis, rotary_inertia, rate))
-    return R @ a
+        a = a - dot(rate, t) * jnp.cross(rate, t)  # Ω × (Ω - t t·Ω)
+    return end, averaged, rate, a
 
 
-def point_tangent(theta, start: Spins, axis, rotary_inertia, factors: StepFactors, centrifugal: bool = True):
-    """Moment of `point_inertia` and its derivative with respect to θ: M, C_iner and K_iner of eqs. (51), (95).
+def point_inertia(theta, start: PointStart, factors: StepFactors, centrifugal: bool = True) -> Float[Array, "3"]:
+    """R (I_ρ Ω̇ + ~Ω I_ρ Ω) at the generalised mid-point, eqs. (40), (88), (91), for one point, over ρh³/12."""
+    _, averaged, _, a = _mid_point(theta, start, factors, centrifugal)
+    return product(averaged, a)
+
+
+def point_tangent(theta, start: PointStart, factors: StepFactors, centrifugal: bool = True) -> Float[Array, "3 3"]:
+    """Derivative of `point_inertia` with respect to θ: M, C_iner and K_iner of eqs. (51), (95), over ρh³/12.
 
     With δθ = H(θ) δω the paper's form follows by multiplying with H(θ) from the right. K_iner differentiates
-    the end's rotation, so it holds R_{n+1} and not the averaged matrix that eq. (95) names.
+    the end's rotation, so it holds R_{n+1} and not the averaged matrix that eq. (95) names. With I_ρ ∝ I - t tᵀ
+    the gyroscopic matrix ~Ω I_ρ - ~(I_ρ Ω) is (Ω·t) ~t - (Ω × t) tᵀ.
     """
-    end = end_of_step(theta, start, factors)
-    R = factors.mid(end.R, start.R, factors.alpha_f)
-    rate = factors.mid(end.Omega, start.Omega, factors.alpha_f)
-    acceleration = factors.mid(end.Omega_dot, start.Omega_dot, factors.alpha_m)
-    tensor = inertia_tensor(axis, rotary_inertia)
+    end, averaged, rate, a = _mid_point(theta, start, factors, centrifugal)
+    t = start.director
     beta, gamma, alpha_m, alpha_f, dt = factors
-    a = tensor @ acceleration
-    material = (1.0 - alpha_m) / (beta * dt * dt) * tensor
+    material = (1.0 - alpha_m) / (beta * dt * dt) * (jnp.eye(3) - t[:, None] * t[None, :])
     if centrifugal:
-        momentum = tensor @ rate
-        a = a + jnp.cross(rate, momentum)
-        gyroscopic = rotations.skew(rate) @ tensor - rotations.skew(momentum)
+        gyroscopic = dot(rate, t) * rotations.skew(t) - jnp.cross(rate, t)[:, None] * t[None, :]
         material = material + (1.0 - alpha_f) * gamma / (beta * dt) * gyroscopic
-    turning = (1.0 - alpha_f) * rotations.skew(end.R @ a) @ rotations.H_inverse(theta)
-    return MidPoint(R @ a, R @ material @ start.R.T - turning)
+    turning = product(rotations.skew(product(end, a)), rotations.H_inverse(theta))
+    return product(averaged, material) - (1.0 - alpha_f) * turning
 
 
 def spin_tangent(theta, start: Spins, axis, rotary_inertia, factors: StepFactors) -> Float[Array, "3 3"]:
     """The integrand of the rotational block of K_Dyn, eq. (51), without N_a N_b: derivative by the spin δω."""
-    return point_tangent(theta, start, axis, rotary_inertia, factors).stiffness @ rotations.H(theta)
+    stiffness = point_tangent(theta, PointStart.of(start, axis), factors)
+    return rotary_inertia * product(stiffness, rotations.H(theta))

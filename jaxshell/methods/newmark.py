@@ -27,7 +27,7 @@ from jaxtyping import Array, Float
 from jaxshell.checks import check_finite, is_concrete
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
-from jaxshell.elements.inertia import Spins, StepFactors
+from jaxshell.elements.inertia import PointStart, Spins, StepFactors
 from jaxshell.methods import predictor, seven_point
 from jaxshell.methods.base import Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
@@ -57,7 +57,7 @@ class ElementData(NamedTuple):
     element: Element
     v: Float[Array, "3 3"]
     a: Float[Array, "3 3"]
-    spins: Spins
+    points: PointStart
     pressure: Float[Array, ""] | None
 
 
@@ -78,19 +78,18 @@ class ForceLevelMethod(ImplicitMethod):
         if data.pressure is not None:
             elastic = elastic - pressure_force(motion.x, data.pressure)
         inertial = seven_point.inertial_forces(
-            u[:, :3], motion.theta, data.v, data.a, data.spins, data.element, step
+            u[:, :3], motion.theta, data.v, data.a, data.points, data.element, step
         )
         return Forces((1.0 - step.alpha_f) * elastic, inertial)
 
     def element_tangent(self, motion, u, data: ElementData, step: StepFactors):
-        K = corotational.tangent_stiffness(motion.x, motion.R, data.element)
+        kin = corotational.kinematics(motion.x, motion.R, data.element)
+        f = corotational.stresses(kin.deformations, data.element)
+        weight = 1.0 - step.alpha_f
+        K = corotational.stiffness(kin, f, data.element, motion.spin, material=weight, geometric=weight)
         if data.pressure is not None:
-            K = K - pressure_stiffness(motion.x, data.pressure)
-        # From spins to the unknown rotation vectors.
-        K = (1.0 - step.alpha_f) * K.reshape(18, 3, 2, 3)
-        turned = jnp.einsum("rbi,bij->rbj", K[:, :, 1], motion.spin)
-        K = jnp.stack([K[:, :, 0], turned], axis=2).reshape(18, 18)
-        return K + seven_point.inertial_tangent(motion.theta, data.spins, data.element, step)
+            K = K - weight * pressure_stiffness(motion.x, data.pressure)
+        return K + seven_point.inertial_tangent(motion.theta, data.points, data.element, step)
 
     # --- the shell -----------------------------------------------------------------------------------------
 
@@ -121,7 +120,8 @@ class ForceLevelMethod(ImplicitMethod):
             loads = loads + factors.alpha_f * earlier
         pressure = model.pressure(end) if model.pressures else None
         v, a = model.gather((state.v, state.a))
-        return ElementData(model.elements, v, a, state.spins, pressure), factors, loads
+        points = seven_point.points_at_start(model, state.spins)
+        return ElementData(model.elements, v, a, points, pressure), factors, loads
 
     def finish(self, model: Model, state: NewmarkState, dt, u, motion, begun) -> NewmarkState:
         factors = begun[1]

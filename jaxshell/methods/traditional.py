@@ -1,0 +1,59 @@
+"""The traditional rotary inertia that the paper compares with (below eq. (40)): nodal, without centrifugal term.
+
+Rotations are taken at the nodes, the material angular acceleration is linear between them, ~Ω I_ρ Ω is dropped.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxshell import rotations
+from jaxshell.elements import inertia
+from jaxshell.elements.corotational import Element
+from jaxshell.elements.inertia import LINEAR_MASS, Spins, StepFactors
+from jaxshell.elements.products import dot, product
+from jaxshell.model import Model
+
+
+def initial_spins(R: Float[Array, "n 3 3"], omega: Float[Array, "n 3"]) -> Spins:
+    """Nodal spins (n, ...) from rotations and angular velocities in space; angular accelerations zero."""
+    material = jnp.einsum("nij,ni->nj", R, omega)
+    return Spins(R, material, jnp.zeros_like(material))
+
+
+def _accelerations(theta, spins: Spins, element: Element, factors: StepFactors) -> Float[Array, "3 3"]:
+    """∫ N_a I_ρ Ω̇ dA for the three nodes, at the generalised mid-point."""
+
+    def one(theta, spins):
+        end = inertia.end_of_step(theta, spins, factors)
+        acceleration = factors.mid(end.Omega_dot, spins.Omega_dot, factors.alpha_m)
+        return inertia.apply_inertia(element.frame[2], element.rotary_inertia, acceleration)
+
+    return element.area * product(jnp.asarray(LINEAR_MASS), jax.vmap(one)(theta, spins))
+
+
+def moments(motion, R_start, spins: Spins, element: Element, factors: StepFactors) -> Float[Array, "3 3"]:
+    """Inertial moments of one element on its nodes; `R_start` (3, 3, 3) are the rotations at the step's start."""
+    R = factors.mid(motion.R, R_start, factors.alpha_f)
+    return dot(R, _accelerations(motion.theta, spins, element, factors)[:, None, :])
+
+
+def stiffness(motion, R_start, spins: Spins, element: Element, factors: StepFactors) -> Float[Array, "3 3 3 3"]:
+    """Derivative of `moments` by the rotation vectors: axes (node, component, node, component)."""
+    tensor = element.rotary_inertia * (jnp.eye(3) - element.frame[2][:, None] * element.frame[2])
+    mass = element.area * jnp.asarray(LINEAR_MASS)
+    R = factors.mid(motion.R, R_start, factors.alpha_f)
+    second = (1.0 - factors.alpha_m) / (factors.beta * factors.dt**2)
+    linear = second * jnp.einsum("ab,aij,jk,blk->aibl", mass, R, tensor, R_start)
+    turned = dot(motion.R, _accelerations(motion.theta, spins, element, factors)[:, None, :])
+    turning = (1.0 - factors.alpha_f) * jnp.einsum("aij,ajk->aik", jax.vmap(rotations.skew)(turned), motion.spin)
+    return linear - jnp.einsum("aij,ab->aibj", turning, jnp.eye(3))
+
+
+def energy_and_momentum(model: Model, spins: Spins):
+    """Rotational kinetic energy and angular momentum ∫ R I_ρ Ω dA of nodal spins (n, ...)."""
+    elements = model.elements
+    spins = model.gather(spins)
+    momentum = inertia.apply_inertia(elements.frame[:, None, 2], 1.0, jnp.asarray(LINEAR_MASS) @ spins.Omega)
+    momentum = (elements.area * elements.rotary_inertia)[:, None, None] * momentum
+    return 0.5 * jnp.sum(spins.Omega * momentum), jnp.einsum("maij,maj->i", spins.R, momentum)
