@@ -1,6 +1,7 @@
 """jaxshell: a differentiable solver for the nonlinear dynamics of thin shells with finite rotations, in JAX."""
 
 from jaxshell import scenes
+from jaxshell.arc_length import solve_arc_length
 from jaxshell.linear_solver import KLU, Dense, Pardiso
 from jaxshell.loads import EdgeForce, Gravity, History, NodalForce, NodalMoment, Pressure
 from jaxshell.mesh import Mesh, structured_triangles
@@ -13,11 +14,13 @@ from jaxshell.methods import (
     GeneralizedEnergyMomentum,
     Newmark,
 )
+from jaxshell.modal import BucklingModes, Modes, linear_buckling, natural_frequencies
 from jaxshell.newton import Newton
 from jaxshell.scene import Initial, Scene
 from jaxshell.section import Section
 from jaxshell.simulate import SimulationError, simulate
 from jaxshell.solution import RESULTS, Energy, Momentum, Solution
+from jaxshell.statics import reactions, solve_static
 from jaxshell.supports import Support, clamped, pinned, symmetry
 
 __all__ = [
@@ -25,6 +28,7 @@ __all__ = [
     "KLU",
     "RESULTS",
     "Bathe",
+    "BucklingModes",
     "CentralDifference",
     "Dense",
     "EdgeForce",
@@ -36,6 +40,7 @@ __all__ = [
     "History",
     "Initial",
     "Mesh",
+    "Modes",
     "Momentum",
     "Newmark",
     "Newton",
@@ -49,9 +54,14 @@ __all__ = [
     "Solution",
     "Support",
     "clamped",
+    "linear_buckling",
+    "natural_frequencies",
     "pinned",
+    "reactions",
     "scenes",
     "simulate",
+    "solve_arc_length",
+    "solve_static",
     "structured_triangles",
     "symmetry",
 ]

@@ -1,7 +1,7 @@
 """Equilibrium paths through limit points: arc-length continuation, with the load factor as an unknown.
 
-E. Riks, "An incremental approach to the solution of snapping and buckling problems", Int. J. Solids Struct. 15
-(1979) 529-551, and M. A. Crisfield, "A fast incremental/iterative solution procedure that handles
+E. Riks, "An incremental approach to the solution of snapping and buckling problems", Int. J. Solids Struct.
+15 (1979) 529-551, and M. A. Crisfield, "A fast incremental/iterative solution procedure that handles
 snap-through", Comput. Struct. 13 (1981) 55-62: the step has a given length in the nodal displacements,
 
     r(u, λ) = f_int(u) - λ f_ext = 0,      Σ_a |Δx_a|²/n = ℓ²,
@@ -74,8 +74,9 @@ def solve_arc_length(
         max_load_factor: the path ends with the first step at or beyond this load factor, in size.
         tangent, newton, linear_solver, save_every, throw, progress, output: as in `solve_static`.
 
-    Returns a `Solution` whose times are the load factors along the path, so they may fall. Raises ValueError for
-    bad input, for a mechanism, and when it is traced by `jax.grad` and the like, before anything is compiled.
+    Returns a `Solution` whose times are the load factors along the path, so they may fall. Raises
+    ValueError for bad input, for a mechanism, and when it is traced by `jax.grad` and the like, before
+    anything is compiled.
     """
     require_float64()
     newton = DEFAULT_NEWTON if newton is None else newton
@@ -85,7 +86,9 @@ def solve_arc_length(
     if not isinstance(steps, int | np.integer) or steps < 1:
         raise ValueError(f"steps must be a whole number of at least 1, but it is {steps!r}.")
     if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, newton, arc_length))):
-        raise ValueError("solve_arc_length chooses its steps as it goes and cannot be traced: use solve_static.")
+        raise ValueError(
+            "solve_arc_length chooses its steps as it goes and cannot be traced: use solve_static."
+        )
     check_supported(scene)
     linear_solver = default_solver() if linear_solver is None else linear_solver
     tables, pattern = analyse(structure_of(scene))
@@ -93,7 +96,9 @@ def solve_arc_length(
     (newton,) = _floats_to_arrays((newton,))
     choices = Choices(tangent, linear_solver, save_every, scene.watch)
     with Progress(steps, enabled=progress) as bar:
-        solution = _driven(scene, newton, tables, handle, choices, arc_length, steps, max_load_factor, output, bar)
+        solution = _driven(
+            scene, newton, tables, handle, choices, arc_length, steps, max_load_factor, output, bar
+        )
     if throw and solution.message:
         raise SimulationError(solution.message, solution)
     return solution
@@ -127,7 +132,8 @@ def _advance(model: Model, newton: Newton, handle, choices: Choices, state: Stat
     def two_solutions(free, last, increment, residual):
         """δu_r and δu_q, each as free freedoms."""
         begun = method.begin(model, state, increment)
-        u, before = model.expand(free, increment * held_rate), model.expand(last, increment * held_rate * jnp.any(last))
+        held = increment * held_rate
+        u, before = model.expand(free, held), model.expand(last, jnp.where(jnp.any(last != 0), held, 0.0))
         matrix = model.assemble_matrix(method.mixed_matrices(model, state, begun, u, before, choices.tangent))
         _, rate = jax.jvp(lambda t: model.free(balance(free, t).residual), (increment,), (jnp.ones(()),))
         by_load, factorization = linear.solver.factor_and_solve(linear.handle, matrix, -rate)
@@ -180,11 +186,13 @@ def _advance(model: Model, newton: Newton, handle, choices: Choices, state: Stat
     return state, u[:, :3], result, record, _frame(model, state)
 
 
-def _driven(scene, newton, tables, handle, choices, arc_length, steps, max_load_factor, output, bar) -> Solution:
+def _driven(
+    scene, newton, tables, handle, choices, arc_length, steps, max_load_factor, output, bar
+) -> Solution:
     begun = time.perf_counter()
     model, carry, record, frame = _prepare(proportional(scene), Static(), newton, tables, handle, choices)
     state, previous, length = carry.state, jnp.zeros_like(carry.state.x), float(arc_length)
-    code, message = SUCCESSFUL, ""
+    code, message = int(SUCCESSFUL), ""
     log = Log(scene, choices.save_every, record, frame, output, Static(), newton, choices)
     with log:
         for position in range(steps):
@@ -215,6 +223,6 @@ def _driven(scene, newton, tables, handle, choices, arc_length, steps, max_load_
 
 def _message(code: int, position: int, at: float, length: float) -> str:
     return (
-        f"The path was followed for {position} steps to load factor {at:.6g}; the next step failed with the arc length "
-        f"down to {length:.3g}. The last attempt: {RESULTS[_results()[code]]}"
+        f"The path was followed for {position} steps to load factor {at:.6g}; the next failed with the arc "
+        f"length down to {length:.3g}. The last attempt: {RESULTS[_results()[code]]}"
     )

@@ -1,4 +1,4 @@
-"""Motions of the shell as a rigid body that its supports leave free: statics has no answer while there is one."""
+"""Rigid-body motions that the supports leave free: statics has no answer while there is one."""
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -12,25 +12,33 @@ _RANK = 1e-8
 
 
 def check_supported(scene: Scene) -> None:
-    """Raise ValueError that names the rigid-body motions left free, of every part whose elements are connected.
+    """Raise ValueError that names the rigid-body motions left free, of every connected part of the mesh.
 
     Nodes that are being traced cannot be looked at and are let through.
     """
     if not is_concrete(scene.mesh.nodes):
         return
-    nodes, triangles = np.asarray(scene.mesh.nodes), scene.mesh.triangles
-    n = len(nodes)
-    links = coo_matrix((np.ones(triangles.size), (triangles.ravel(), np.roll(triangles, 1, axis=1).ravel())), (n, n))
-    count, part = connected_components(links, directed=False)
+    nodes = np.asarray(scene.mesh.nodes)
+    count, part = connected_parts(scene.mesh.triangles, len(nodes))
     for k in range(count):
         members = np.flatnonzero(part == k)
         motions = free_motions(nodes, members, scene.held_dofs)
         if motions:
-            which = "the shell" if count == 1 else f"the part of the shell with node {members[0]} ({count} parts)"
+            which = (
+                "the shell" if count == 1 else f"the part of the shell with node {members[0]} ({count} parts)"
+            )
             raise ValueError(
                 f"The supports leave {which} free to move as a rigid body: {'; '.join(motions)}. "
-                "Hold these motions; a shell without supports has dynamics and frequencies, but no static answer."
+                "Hold these motions; a shell without supports moves and vibrates, but has no static answer."
             )
+
+
+def connected_parts(triangles: np.ndarray, n_nodes: int) -> tuple[int, np.ndarray]:
+    """How many parts of a mesh no element connects, and the part (n,) of each node."""
+    ends = triangles.ravel(), np.roll(triangles, 1, axis=1).ravel()
+    return connected_components(
+        coo_matrix((np.ones(triangles.size), ends), (n_nodes, n_nodes)), directed=False
+    )
 
 
 def free_motions(nodes: np.ndarray, members: np.ndarray, held_dofs: np.ndarray) -> list[str]:
@@ -59,7 +67,8 @@ def free_motions(nodes: np.ndarray, members: np.ndarray, held_dofs: np.ndarray) 
             continue
         point = centre + np.cross(omega, v) / spin**2
         sliding = " with a translation along it" if abs(omega @ v) > 1e-6 * spin else ""
-        found.append(f"rotation about the axis {_vector(omega / np.abs(omega).max())} through {_vector(point)}{sliding}")
+        axis = _vector(omega / np.abs(omega).max())
+        found.append(f"rotation about the axis {axis} through {_vector(point)}{sliding}")
     return found
 
 

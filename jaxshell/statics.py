@@ -1,8 +1,9 @@
-"""Static equilibrium under growing loads: `solve_static` steps the load factor, `reactions` are what supports carry.
+"""Static equilibrium: `solve_static` steps the load factor, `reactions` are what the supports carry.
 
-One load step is one compiled program (`jaxshell.methods.static`); the host cuts a step that fails in half and lets
-the steps grow back. When `solve_static` is being traced (by `jax.grad`, `jax.vmap`, `jax.jit`) the given load
-factors are taken as they are, in one program, and differentiated by the implicit function theorem.
+One load step is one compiled program (`jaxshell.methods.static`); the host cuts a step that fails in half
+and lets the steps grow back. When `solve_static` is being traced (by `jax.grad`, `jax.vmap`, `jax.jit`) the
+given load factors are taken as they are, in one program, and differentiated by the implicit function
+theorem.
 """
 
 import time
@@ -92,9 +93,9 @@ def solve_static(
     Arguments:
         scene: what to load. Its supports must leave no rigid-body motion free. Differentiable in its floats.
         load_factors: where equilibrium is wanted, in the order in which the loads pass through them (they may
-            fall again and change sign); None is 0.1, 0.2, ..., 1. A step that fails is halved, up to ten times,
-            and the steps grow back to the factors asked for. Around a limit point no load step is small
-            enough: see `solve_arc_length`.
+            fall again and change sign); None is 0.1, 0.2, ..., 1. A step that fails is halved, up to ten
+            times, and the steps grow back to the factors asked for. Around a limit point no load step is
+            small enough: see `solve_arc_length`.
         tangent: "closed_form" or "autodiff"; the same answer.
         newton, linear_solver, progress, output: as in `simulate`.
         save_every: load factors between frames.
@@ -120,7 +121,9 @@ def solve_static(
     choices = Choices(tangent, linear_solver, save_every, scene.watch)
     if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, newton, factors))):
         if output is not None or progress:
-            raise ValueError("output= and progress= need a run that is not traced by jax.grad, jax.vmap or jax.jit.")
+            raise ValueError(
+                "output= and progress= need a run that is not traced by jax.grad, jax.vmap or jax.jit."
+            )
         steps = jnp.diff(jnp.asarray(factors), prepend=0.0)
         run = (proportional(scene), Static(), newton, tables, handle, choices, steps, None, Stored(), throw)
         return eqx.tree_at(lambda s: s.scene, _traced_run(*run), scene)
@@ -133,7 +136,7 @@ def solve_static(
 
 @eqx.filter_jit
 def _advance(model: Model, newton: Newton, handle, choices: Choices, state: StaticState, memory, step, end):
-    """One load step of size `step` to the load factor `end`: state, Newton's memory, result, record and frame."""
+    """One load step of size `step` to the load factor `end`: state, memory, result, record and frame."""
     solvers = Solvers(newton, Linear(choices.linear_solver, handle), choices.tangent)
     state, info, memory = Static().step(model, state, step, solvers, memory)
     state = eqx.tree_at(lambda s: s.time, state, end)
@@ -146,7 +149,7 @@ def _driven(scene, newton, tables, handle, choices: Choices, factors, output, ba
     model, carry, record, frame = _prepare(proportional(scene), Static(), newton, tables, handle, choices)
     state, memory = carry.state, carry.memory
     log = Log(scene, choices.save_every, record, frame, output, Static(), newton, choices)
-    code, at, size = SUCCESSFUL, 0.0, np.inf
+    code, at, size = int(SUCCESSFUL), 0.0, np.inf
     with log:
         for position, target in enumerate(factors):
             smallest = abs(target - at) / 2**_CUTS
@@ -183,7 +186,9 @@ class Log:
         self.method = method
         self.records, self.frames = [_expand(record)], [_expand(frame)]
         settings = {
-            "method": repr_of(method), "newton": repr_of(newton), "tangent": choices.tangent,
+            "method": repr_of(method),
+            "newton": repr_of(newton),
+            "tangent": choices.tangent,
             "save_every": save_every,
         }
         self.context = _writer(output, scene, settings)
@@ -201,7 +206,7 @@ class Log:
         return self.records[-1]
 
     def append(self, record, frame, spent, last: bool = False) -> None:
-        """A finished step, on which `spent` = (iterations, factorizations) went; `last` always keeps its frame."""
+        """A finished step that cost `spent` = (iterations, factorizations); `last` always keeps its frame."""
         record = record._replace(iterations=np.asarray(spent[0]), factorizations=np.asarray(spent[1]))
         self.records.append(_expand(record))
         keep = last or (len(self.records) - 1) % self.save_every == 0
@@ -236,15 +241,18 @@ class Log:
 def reactions(solution: Solution) -> Float[Array, "f n 6"]:
     """Forces and moments of the supports on the shell at every frame of a static solution.
 
-    Zero at freedoms that are not held; forces [force] first, then moments [force·length] about the nodes. With
-    the loads they are in balance: their resultant and their moment about any point vanish. Differentiable.
+    Zero at freedoms that are not held; forces [force] first, then moments [force·length] about the nodes.
+    With the loads they are in balance: their resultant and their moment about any point vanish.
+    Differentiable.
 
-    Raises ValueError for a solution that is not of `solve_static` or `solve_arc_length`: in motion the supports
-    carry the inertial forces too, which frames do not hold.
+    Raises ValueError for a solution that is not of `solve_static` or `solve_arc_length`: in motion the
+    supports carry the inertial forces too, which frames do not hold.
     """
     method = solution.stats.get("method", "")
     if not (isinstance(solution.state, StaticState) or method.startswith("Static")):
-        raise ValueError(f"reactions() needs a solution of solve_static or solve_arc_length, but this is of {method!r}.")
+        raise ValueError(
+            f"reactions() needs a solution of solve_static or solve_arc_length, not of {method!r}."
+        )
     tables, _ = analyse(structure_of(solution.scene))
     frames = solution.displacements, solution.rotations, solution.frame_times
     return _reactions(proportional(solution.scene), tables, *frames)
@@ -253,13 +261,14 @@ def reactions(solution: Solution) -> Float[Array, "f n 6"]:
 @eqx.filter_jit
 def _reactions(scene: Scene, tables: Tables, displacements, rotations, factors):
     model = Model.build(scene, tables)
-    return jax.lax.map(lambda frame: reactions_at(model, model.x0 + frame[0], *frame[1:]), (displacements, rotations, factors))
+    frames = displacements, rotations, factors
+    return jax.lax.map(lambda frame: reactions_at(model, model.x0 + frame[0], *frame[1:]), frames)
 
 
-def _load_factors(values) -> np.ndarray:
+def _load_factors(values):
     if values is None:
         return np.arange(1, 11) / 10
-    if not is_concrete(values) and any(isinstance(v, jax.core.Tracer) for v in jax.tree.leaves(values)):
+    if not all(is_concrete(value) for value in jax.tree.leaves(values)):
         return jnp.asarray(values)
     values = np.asarray(values, float)
     check_finite("load_factors", values)
@@ -274,7 +283,7 @@ def _load_factors(values) -> np.ndarray:
 
 def _message(code: int, at: float, target: float) -> str:
     return (
-        f"Equilibrium was followed to load factor {at:.6g} and not found between there and {target:.6g}, with steps "
-        f"halved {_CUTS} times. Past a limit point only solve_arc_length can go on. "
+        f"Equilibrium was followed to load factor {at:.6g} and not found between it and {target:.6g}, with "
+        f"steps halved {_CUTS} times. Past a limit point only solve_arc_length can go on. "
         f"The last attempt: {RESULTS[_results()[code]]}"
     )

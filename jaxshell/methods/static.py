@@ -1,15 +1,15 @@
-"""Static equilibrium as a method: internal forces balance the loads at the load factor, and nothing moves in time.
+"""Static equilibrium as a method: internal forces balance the loads at a load factor.
 
-f_int(x, R) - λ f_ext = 0, eq. (70) without the inertial forces of eq. (87). The "time" of the state is the load
-factor λ and the "time step" its increment, so that statics shares residual, tangent, autodiff and the
+f_int(x, R) - λ f_ext = 0, eq. (70) without the inertial forces of eq. (87). The "time" of the state is the
+load factor λ and the "time step" its increment, so that statics shares residual, tangent, autodiff and the
 derivative of the converged step with the implicit methods.
 
 Newton is mixed (D. Magisano, L. Leonetti & G. Garcea, "How to improve efficiency and robustness of the Newton
 method in geometrically non-linear structural problem discretized via displacement-based finite elements",
 Comput. Methods Appl. Mech. Eng. 313 (2017) 986-1005): the stresses in the geometric stiffness are those that
-the last correction predicts linearly, not those of the corrected shape. A correction that turns elements moves
-the nodes along tangents, which stretches the membrane; the false stresses would dominate the next tangent. A
-cantilever rolled up in ten steps takes 8 iterations a step instead of 32 to 52.
+the last correction predicts linearly, not those of the corrected shape. A correction that turns elements
+moves the nodes along tangents, which stretches the membrane; the false stresses would dominate the next
+tangent. A cantilever rolled up in ten steps takes 8 iterations a step instead of 32 to 52.
 """
 
 from typing import NamedTuple
@@ -60,16 +60,8 @@ class Static(ImplicitMethod):
     def element_tangent(self, motion, u, data: ElementData, step) -> Float[Array, "18 18"]:
         kin = corotational.kinematics(motion.x, motion.R, data.element)
         f = _stresses(kin, data)
-        gradient = corotational.deformation_gradient(kin)
-        K = corotational.material_stiffness(gradient, gradient, data.element)
-        K = K + corotational.geometric_stiffness(kin, f, corotational.local_forces(kin, f))
-        K = corotational.matrix_to_global(K, kin)
-        if data.pressure is not None:
-            K = K - pressure_stiffness(motion.x, data.pressure)
-        # From spins to the unknown rotation vectors.
-        K = K.reshape(18, 3, 2, 3)
-        turned = jnp.einsum("rbi,bij->rbj", K[:, :, 1], motion.spin)
-        return jnp.stack([K[:, :, 0], turned], axis=2).reshape(18, 18)
+        K = corotational.stiffness(kin, f, data.element, motion.spin)
+        return K if data.pressure is None else K - pressure_stiffness(motion.x, data.pressure)
 
     def mixed_matrices(self, model: Model, state, begun, u, last, tangent: str) -> Float[Array, "m 18 18"]:
         def excess(u, last, x, R, element):
@@ -83,8 +75,8 @@ class Static(ImplicitMethod):
             return corotational.stresses(before + change - deformations(u), element)
 
         data, step, loads = begun
-        corners = model.gather((u, last, state.x, state.R))
-        data = data._replace(excess=jax.vmap(excess)(*corners, model.elements))
+        u_e, last_e, x, R = model.gather((u, last, state.x, state.R))
+        data = data._replace(excess=jax.vmap(excess)(u_e, last_e, x, R, model.elements))
         return self.matrices(model, state, (data, step, loads), u, tangent)
 
     def start(self, model: Model, scene, time) -> StaticState:
@@ -105,7 +97,9 @@ class Static(ImplicitMethod):
         # Work by the trapezoidal rule along the step.
         force = 0.5 * (model.dead_load(state.time) + model.dead_load(end))
         if model.pressures:
-            force = force + 0.5 * (model.pressure_load(state.x, state.time) + model.pressure_load(motion.x, end))
+            force = force + 0.5 * (
+                model.pressure_load(state.x, state.time) + model.pressure_load(motion.x, end)
+            )
         if model.moving:
             before = reactions_at(model, state.x, state.R, state.time)
             force = force + 0.5 * (before + reactions_at(model, motion.x, motion.R, end))
@@ -124,7 +118,7 @@ def _stresses(kin: corotational.Kinematics, data: ElementData) -> Float[Array, "
 
 
 def reactions_at(model: Model, x, R, time) -> Float[Array, "n 6"]:
-    """Forces and moments of the supports on the shell in equilibrium: f_int - f_ext at the held freedoms, else 0."""
+    """Forces and moments of the supports on the shell in equilibrium: f_int - f_ext at the held freedoms."""
     residual = model.internal_force(x, R) - model.dead_load(time) - model.pressure_load(x, time)
     is_held = jnp.zeros(residual.size).at[model.tables.held].set(1.0).reshape(residual.shape)
     return is_held * residual

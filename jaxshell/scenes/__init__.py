@@ -1,8 +1,38 @@
-"""The library of scenes: each function returns a `jaxshell.Scene` with the literature's geometry and loads."""
+"""The library of scenes: functions that return a `jaxshell.Scene` with the literature's geometry."""
 
+from jaxshell.scenes.dynamic import flying_cylinder, l_shaped_plate, snapping_panel, spinning_plate
 from jaxshell.scenes.paper import free_plate, opened_cap, spherical_cap
+from jaxshell.scenes.static import (
+    cantilever_end_moment,
+    cantilever_end_shear,
+    cylinder_pull_out,
+    hemisphere,
+    hinged_roof,
+    pinched_cylinder,
+    pinched_semi_cylinder,
+    slit_annular_plate,
+    twisted_beam,
+)
 
 PAPER = {"cap": spherical_cap, "plate": free_plate, "opened_cap": opened_cap}
 """The scenes of Yang & Xia 2014, under the names that the command line uses."""
 
-__all__ = ["PAPER", "free_plate", "opened_cap", "spherical_cap"]
+__all__ = [
+    "PAPER",
+    "cantilever_end_moment",
+    "cantilever_end_shear",
+    "cylinder_pull_out",
+    "flying_cylinder",
+    "free_plate",
+    "hemisphere",
+    "hinged_roof",
+    "l_shaped_plate",
+    "opened_cap",
+    "pinched_cylinder",
+    "pinched_semi_cylinder",
+    "slit_annular_plate",
+    "snapping_panel",
+    "spherical_cap",
+    "spinning_plate",
+    "twisted_beam",
+]

@@ -37,11 +37,14 @@ def cantilever_end_shear(divisions: tuple[int, int] = (32, 2), force: float = 4.
     )
 
 
-def cantilever_end_moment(divisions: tuple[int, int] = (40, 1), moment: float = 50.0 * math.pi / 3.0) -> Scene:
+def cantilever_end_moment(
+    divisions: tuple[int, int] = (40, 1), moment: float = 50.0 * math.pi / 3.0
+) -> Scene:
     """Cantilever rolled up to a full circle by a moment at its tip (Sze, section 3.2).
 
-    12 × 1 × 0.1, E 1.2e6, ν 0; clamped at x = 0, `moment` about -y at x = 12. Exact: a circle arc of curvature
-    M/EI, EI = 100; the default closes the circle. divisions = (along, across). Watches "tip u" and "tip w".
+    12 × 1 × 0.1, E 1.2e6, ν 0; clamped at x = 0, `moment` about -y at x = 12. Exact: a circle arc of
+    curvature M/EI, EI = 100; the default closes the circle. divisions = (along, across). Watches "tip u"
+    and "tip w".
     """
     mesh = generators.rectangle(12.0, 1.0, divisions)
     tip = _tip(mesh, 12.0)
@@ -103,9 +106,10 @@ def cylinder_pull_out(divisions: tuple[int, int] = (16, 24), force: float = 40e3
 def pinched_cylinder(divisions: tuple[int, int] = (40, 40), force: float = 12e3) -> Scene:
     """Cylinder over rigid diaphragms, pinched by two opposite forces at mid-length (Sze, section 3.6).
 
-    R 100, length 200, h 1, E 30e3, ν 0.3; the diaphragms hold the ends in their plane and leave them free along
-    the axis. One eighth by symmetry carries a quarter of `force`. divisions = (along half the length, around a
-    quarter). Watches "A" (uz, downwards under the load) and "B" (uy, outwards a quarter turn from it).
+    R 100, length 200, h 1, E 30e3, ν 0.3; the diaphragms hold the ends in their plane and leave them free
+    along the axis. One eighth by symmetry carries a quarter of `force`. divisions = (along half the length,
+    around a quarter). Watches "A" (uz, downwards under the load) and "B" (uy, outwards a quarter turn from
+    it).
     """
     radius, half = 100.0, 100.0
     mesh = generators.cylinder(radius, half, divisions, angle=90.0)
@@ -145,18 +149,23 @@ def pinched_semi_cylinder(divisions: tuple[int, int] = (32, 32), force: float = 
     )
 
 
-def hinged_roof(divisions: tuple[int, int] = (16, 16), thickness: float = 12.7, force: float = 3000.0) -> Scene:
+def hinged_roof(
+    divisions: tuple[int, int] = (16, 16), thickness: float = 12.7, force: float = 3000.0
+) -> Scene:
     """Shallow cylindrical roof hinged on its straight edges, snapping through (Sze, section 3.8, isotropic).
 
-    R 2540, length 508, half angle 0.1 rad, E 3102.75, ν 0.3; `thickness` 12.7 snaps through, 6.35 snaps back as
-    well. One quarter by symmetry carries a quarter of the central `force`. Curved edges free. First studied by
-    Sabir & Lock (1972). divisions = (along half the length, around half). Watches "centre" (uz).
+    R 2540, length 508, half angle 0.1 rad, E 3102.75, ν 0.3; `thickness` 12.7 snaps through, 6.35 snaps
+    back as well. One quarter by symmetry carries a quarter of the central `force`. Curved edges free. First
+    studied by Sabir & Lock (1972). divisions = (along half the length, around half). Watches "centre" (uz).
     """
     radius, half, angle = 2540.0, 254.0, 0.1
     along, around = divisions
-    x, turn = (k.ravel() for k in np.meshgrid(
-        np.linspace(0, half, along + 1), np.linspace(0, angle, around + 1), indexing="ij"
-    ))
+    x, turn = (
+        k.ravel()
+        for k in np.meshgrid(
+            np.linspace(0, half, along + 1), np.linspace(0, angle, around + 1), indexing="ij"
+        )
+    )
     mesh = Mesh(
         np.stack([x, radius * np.sin(turn), radius * np.cos(turn)], 1), structured_triangles(along, around)
     )
@@ -177,9 +186,9 @@ def hinged_roof(divisions: tuple[int, int] = (16, 16), thickness: float = 12.7, 
 def hemisphere(divisions: tuple[int, int] = (16, 16), force: float = 100.0) -> Scene:
     """Hemisphere with an 18° hole under two inward and two outward forces at its equator (Sze, section 3.4).
 
-    R 10, h 0.04, E 6.825e7, ν 0.3; hole and equator free. One quarter by symmetry; `force` is the one that the
-    quarter carries at either of its equator's ends, half of the whole hemisphere's. divisions = (around a
-    quarter, along the meridian). Watches "inward" (uy, on the y axis) and "outward" (ux, on the x axis).
+    R 10, h 0.04, E 6.825e7, ν 0.3; hole and equator free. One quarter by symmetry; `force` is the one that
+    the quarter carries at either of its equator's ends, half of the whole hemisphere's. divisions = (around
+    a quarter, along the meridian). Watches "inward" (uy, on the y axis) and "outward" (ux, on the x axis).
     """
     around, rows = divisions
     radius = 10.0
@@ -208,9 +217,10 @@ def hemisphere(divisions: tuple[int, int] = (16, 16), force: float = 100.0) -> S
 def twisted_beam(divisions: tuple[int, int] = (24, 4), load: str = "in-plane") -> Scene:
     """Cantilever twisted by 90° over its length, unit force at the tip: a test of warped geometry.
 
-    12 × 1.1 × 0.32, E 29e6, ν 0.22. R. H. MacNeal & R. L. Harder, "A proposed standard set of problems to test
-    finite element accuracy", Finite Elem. Anal. Des. 1 (1985) 3-20. `load` "in-plane" acts along the tip's
-    width (+z), "out-of-plane" across it (+y). divisions = (along, across). Watches "tip" in that direction.
+    12 × 1.1 × 0.32, E 29e6, ν 0.22. R. H. MacNeal & R. L. Harder, "A proposed standard set of problems to
+    test finite element accuracy", Finite Elem. Anal. Des. 1 (1985) 3-20. `load` "in-plane" acts along the
+    tip's width (+z), "out-of-plane" across it (+y). divisions = (along, across). Watches "tip" in that
+    direction.
     """
     if load not in ("in-plane", "out-of-plane"):
         raise ValueError(f'load must be "in-plane" or "out-of-plane", but it is {load!r}.')

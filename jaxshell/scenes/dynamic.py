@@ -1,0 +1,141 @@
+"""Dynamic benchmarks: snapping panel, and shells in free flight that bend, tumble and spin.
+
+The papers below show some of their loads and supports in figures only. What was chosen here instead is marked
+ASSUMPTION: then compare with the papers' curves in kind, not digit by digit.
+"""
+
+import numpy as np
+
+from jaxshell import generators
+from jaxshell.loads import EdgeForce, History, NodalForce
+from jaxshell.mesh import Mesh, structured_triangles
+from jaxshell.scene import Defaults, Initial, Scene
+from jaxshell.section import Section
+from jaxshell.supports import pinned
+
+
+def snapping_panel(divisions: tuple[int, int] = (8, 16), force: float = 5e7) -> Scene:
+    """Cylindrical panel pushed through by a force at its centre (SI units).
+
+    D. Kuhl & E. Ramm, "Generalized energy-momentum method for non-linear adaptive shell dynamics", Comput.
+    Methods Appl. Mech. Eng. 178 (1999) 343-366: radius 5 m, half angle 30°, h 0.1 m, E 200 GPa, ν 0.25,
+    ρ 1e4 kg/m³, force rising to 5e7 N at 0.2 s and constant from there, straight edges hinged.
+    ASSUMPTION: length 5 m, the force on one node. The whole panel, free to snap asymmetrically.
+    divisions = (along, around), both even. Watches "centre" (uz).
+    """
+    along, around = divisions
+    if along % 2 or around % 2:
+        raise ValueError(
+            f"divisions must be even, so that there is a node at the centre, but are {divisions}."
+        )
+    radius, length, half_angle = 5.0, 5.0, np.pi / 6
+    x, turn = _grid(np.linspace(0, length, along + 1), np.linspace(-half_angle, half_angle, around + 1))
+    mesh = Mesh(
+        np.stack([x, radius * np.sin(turn), radius * np.cos(turn)], 1), structured_triangles(along, around)
+    )
+    centre = mesh.nearest_node([length / 2, 0, radius])
+    edges = np.flatnonzero(np.abs(turn) > half_angle - 1e-9)
+    return Scene(
+        mesh,
+        Section(0.1, 200e9, 0.25, 1e4),
+        (pinned(edges),),
+        (NodalForce([centre], [0.0, 0.0, -force], History.ramp(0.2)),),
+        name="snapping_panel",
+        watch={"centre": (centre, "uz")},
+        defaults=Defaults(dt=1e-3, t_end=0.3, picture_times=(0.0, 0.05, 0.1, 0.15, 0.2, 0.3), units="SI"),
+    )
+
+
+def flying_cylinder(divisions: tuple[int, int] = (4, 32)) -> Scene:
+    """Short cylinder pinched and thrown: large bending in free flight.
+
+    J. C. Simo & N. Tarnow, "A new energy and momentum conserving algorithm for the non-linear dynamics of
+    shells", Int. J. Numer. Methods Eng. 37 (1994) 2527-2549: radius 7.5, length 3, h 0.02, E 2e8, ν 0.25, ρ
+    1. ASSUMPTION: a pulse from 0 at t = 0 over 10 at t = 0.5 to 0 at t = 1, (0, -1, -1) times it shared by
+    the two ends of the generators at 0° and 180°, (1, 1, 1) times it by those at 90° and 270°. divisions =
+    (along, around), around a multiple of 4. Watches "A x" and "A y", at an end of the generator at 0°.
+    """
+    along, around = divisions
+    if around % 4:
+        raise ValueError(f"divisions[1] must be a multiple of 4, but it is {around}.")
+    mesh = generators.cylinder(7.5, 3.0, divisions)
+    pulse = History([0.0, 0.5, 1.0], [0.0, 10.0, 0.0])
+
+    def ends(quarter):
+        first = quarter * around // 4
+        return [first, along * around + first]
+
+    return Scene(
+        mesh,
+        Section(0.02, 2e8, 0.25, 1.0),
+        (),
+        tuple(
+            NodalForce(ends(quarter), 0.5 * np.array(direction), pulse)
+            for quarter, direction in enumerate(2 * [[0.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
+        ),
+        name="flying_cylinder",
+        watch={"A x": (0, "ux"), "A y": (0, "uy")},
+        defaults=Defaults(dt=0.02, t_end=10.0, picture_times=tuple(float(k) for k in range(0, 11, 2))),
+    )
+
+
+def l_shaped_plate(divisions: int = 4) -> Scene:
+    """Two plates that meet at a right angle, struck and let go: a fold in free flight (SI units).
+
+    In the manner of the L-shaped bodies of J. C. Simo & N. Tarnow (1992, 1994). ASSUMPTION, all of it: legs
+    of 0.6 × 0.2 m along x and along z from a common edge, h 4 mm, E 70 GPa, ν 0.3, ρ 2700; line forces on
+    the two free ends, pulses of 0.02 s. `divisions` per 0.2 m. Watches "end z" (ux) and "end x" (uz),
+    corners of the legs' ends.
+    """
+    count = 3 * divisions
+    along = np.concatenate([np.arange(count, 0, -1), np.arange(count + 1)])
+    i, j = _grid(np.arange(2 * count + 1), np.arange(divisions + 1))
+    leg, y = 0.6 * along[i] / count, 0.2 * j / divisions
+    up = i < count  # the leg along z comes first
+    nodes = np.stack([np.where(up, 0.0, leg), y, np.where(up, leg, 0.0)], 1)
+    mesh = Mesh(nodes, structured_triangles(2 * count, divisions))
+    pulse = History([0.0, 0.01, 0.02], [0.0, 1.0, 0.0])
+    top, end = np.flatnonzero(i == 0), np.flatnonzero(i == 2 * count)
+    return Scene(
+        mesh,
+        Section(4e-3, 70e9, 0.3, 2700.0),
+        (),
+        (
+            EdgeForce(_chain(top), [2e3, 1e3, 1e3], pulse),
+            EdgeForce(_chain(end), [1e3, -1e3, 2e3], pulse),
+        ),
+        name="l_shaped_plate",
+        watch={"end z": (int(top[0]), "ux"), "end x": (int(end[0]), "uz")},
+        defaults=Defaults(dt=5e-4, t_end=0.5, picture_times=tuple(0.1 * k for k in range(6)), units="SI"),
+    )
+
+
+def spinning_plate(divisions: int = 8, spin: tuple[float, float, float] = (0.0, 20.0, 60.0)) -> Scene:
+    """Square plate that spins, by default about no principal axis: centrifugal stress, nutation (SI units).
+
+    ASSUMPTION, all of it: 0.5 × 0.5 × 0.005 m, E 70 GPa, ν 0.3, ρ 2700, no supports, no loads, angular
+    velocity `spin` [rad/s] about its middle. Energy and momenta are those of the start for ever. Watches
+    "corner x" and "corner z".
+    """
+    side = 0.5
+    mesh = generators.rectangle(side, side, (divisions, divisions))
+    return Scene(
+        mesh,
+        Section(0.005, 70e9, 0.3, 2700.0),
+        (),
+        (),
+        initial=Initial.rigid(mesh, angular_velocity=spin),
+        name="spinning_plate",
+        watch={"corner x": (0, "ux"), "corner z": (0, "uz")},
+        defaults=Defaults(dt=2e-4, t_end=0.5, picture_times=tuple(0.1 * k for k in range(6)), units="SI"),
+    )
+
+
+def _grid(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    first, second = np.meshgrid(first, second, indexing="ij")
+    return first.ravel(), second.ravel()
+
+
+def _chain(nodes: np.ndarray) -> np.ndarray:
+    """Edges between neighbours in a list of nodes."""
+    return np.stack([nodes[:-1], nodes[1:]], 1)
