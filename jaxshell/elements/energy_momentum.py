@@ -134,13 +134,19 @@ def _forces(s, p, edges):
     return F + jnp.sum(p, axis=0), jnp.sum(jnp.cross(p, edges[None]), axis=1)
 
 
-def evaluate(start: StepStart, x, R, u: Float[Array, "3 6"], element: Element, dissipation) -> StepState:
-    """The step from its start to positions x (3, 3) and rotations R (3, 3, 3), with increments u = (Δx, θ)."""
+def evaluate(
+    start: StepStart, x, R, u: Float[Array, "3 6"], element: Element, dissipation, excess=None
+) -> StepState:
+    """The step from its start to positions x (3, 3) and rotations R (3, 3, 3), with increments u = (Δx, θ).
+
+    `excess` (12,), where given, is added to the deformations at the end in the stresses f.
+    """
     kin = corotational.kinematics(x, R, element)
     change = kin.deformations - start.kin.deformations
-    f = corotational.stresses(
-        0.5 * (kin.deformations + start.kin.deformations) + dissipation * change, element
-    )
+    weighted = 0.5 * (kin.deformations + start.kin.deformations) + dissipation * change
+    if excess is not None:
+        weighted = weighted + (0.5 + dissipation) * excess
+    f = corotational.stresses(weighted, element)
     increments, theta = edges_of(u[:, :3]), u[:, 3:]
     edges = start.edges + 0.5 * increments
     d_metric = jnp.stack(

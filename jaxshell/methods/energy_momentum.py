@@ -59,6 +59,8 @@ class ElementData(NamedTuple):
     inertia: DirectorMotion
     pressure: Float[Array, ""] | None
     """Mean of the step."""
+    excess: Float[Array, "12"] | None = None
+    """Deformations added at the end in the stresses, in the tangent of a mixed iteration only."""
 
 
 class Shared(NamedTuple):
@@ -106,7 +108,7 @@ class EnergyMomentum(ImplicitMethod):
         return Motion(x + u[:3], cayley(theta) @ R, theta, spin_matrix(theta))
 
     def element_forces(self, motion: Motion, u: Float[Array, "3 6"], data: ElementData, step: Shared) -> Forces:
-        state = energy_momentum.evaluate(data.start, motion.x, motion.R, u, data.element, step.dissipation)
+        state = _evaluate(motion, u, data, step)
         elastic = energy_momentum.elastic_forces(state)
         if data.pressure is not None:
             elastic = elastic - mean_pressure_force(data.x, u[:, :3], data.pressure)
@@ -114,7 +116,7 @@ class EnergyMomentum(ImplicitMethod):
         return Forces(elastic, inertial)
 
     def element_tangent(self, motion: Motion, u: Float[Array, "3 6"], data: ElementData, step: Shared):
-        state = energy_momentum.evaluate(data.start, motion.x, motion.R, u, data.element, step.dissipation)
+        state = _evaluate(motion, u, data, step)
         K = energy_momentum.elastic_tangent(state, data.start, data.element, step.dissipation)
         K = K + director_inertia_tangent(motion, u, data.inertia, data.element, step.dt)
         if data.pressure is not None:
@@ -122,6 +124,27 @@ class EnergyMomentum(ImplicitMethod):
         return K
 
     # --- the shell -----------------------------------------------------------------------------------------
+
+    def mixed_matrices(self, model: Model, state, begun, u, last, tangent: str) -> Float[Array, "m 18 18"]:
+        """Tangents with the stresses that the last correction predicts linearly, as in `jaxshell.methods.static`.
+
+        Nodes that turn by their tangents stretch the membrane; these false stresses would rule the next tangent.
+        """
+
+        def excess(u, last, x, R, element):
+            """e(last) + ∂e/∂u (u - last) - e(u): predicted less actual deformations."""
+
+            def deformations(u):
+                motion = jax.vmap(self.node_motion)(u, x, R)
+                return corotational.kinematics(motion.x, motion.R, element).deformations
+
+            before, change = jax.jvp(deformations, (last,), (u - last,))
+            return before + change - deformations(u)
+
+        data, step, loads = begun
+        corners = model.gather((u, last, state.x, state.R))
+        data = data._replace(excess=jax.vmap(excess)(*corners, model.elements))
+        return self.matrices(model, state, (data, step, loads), u, tangent)
 
     def start(self, model: Model, scene, time) -> EnergyMomentumState:
         x, R, v, omega = initial_motion(model, scene)
@@ -183,6 +206,12 @@ class EnergyMomentum(ImplicitMethod):
         angular = jnp.sum(jnp.cross(x, momentum) + jnp.cross(directors, spin), axis=(0, 1))
         strain = model.strain_energy(state.x, state.R)
         return Observation(kinetic, strain, state.external_work, state.dissipated, linear, angular)
+
+
+def _evaluate(motion: Motion, u, data: ElementData, step: Shared) -> energy_momentum.StepState:
+    return energy_momentum.evaluate(
+        data.start, motion.x, motion.R, u, data.element, step.dissipation, data.excess
+    )
 
 
 # --- one element: inertia and pressure --------------------------------------------------------------------
