@@ -21,6 +21,7 @@ from jaxshell.section import Section
 from jaxshell.simulate import SimulationError, simulate
 from jaxshell.solution import RESULTS, Energy, Momentum, Solution
 from jaxshell.statics import reactions, solve_static
+from jaxshell.step_control import StepControl
 from jaxshell.supports import Support, clamped, pinned, symmetry
 
 __all__ = [
@@ -52,6 +53,7 @@ __all__ = [
     "Section",
     "SimulationError",
     "Solution",
+    "StepControl",
     "Support",
     "clamped",
     "linear_buckling",

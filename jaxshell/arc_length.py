@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxshell import program
 from jaxshell.assembly import analyse
 from jaxshell.checks import check_positive, is_concrete, require_float64
 from jaxshell.linear_solver import LinearSolver, default_solver
@@ -27,16 +28,13 @@ from jaxshell.mechanisms import check_supported
 from jaxshell.methods.static import Static, StaticState
 from jaxshell.model import Model, structure_of
 from jaxshell.newton import DIVERGED, SINGULAR, STAGNATED, SUCCESSFUL, Linear, Newton
+from jaxshell.program import Choices
 from jaxshell.progress import Progress
 from jaxshell.scene import Scene
 from jaxshell.simulate import (
-    Choices,
     SimulationError,
     _check_options,
     _floats_to_arrays,
-    _frame,
-    _prepare,
-    _record,
     _results,
 )
 from jaxshell.solution import RESULTS, Solution
@@ -95,7 +93,7 @@ def solve_arc_length(
     handle = linear_solver.prepare(pattern)
     (newton,) = _floats_to_arrays((newton,))
     choices = Choices(tangent, linear_solver, save_every, scene.watch)
-    with Progress(steps, enabled=progress) as bar:
+    with Progress(steps=steps, enabled=progress) as bar:
         solution = _driven(
             scene, newton, tables, handle, choices, arc_length, steps, max_load_factor, output, bar
         )
@@ -182,15 +180,15 @@ def _advance(model: Model, newton: Newton, handle, choices: Choices, state: Stat
     begun = method.begin(model, state, end.increment)
     u = model.expand(end.free, end.increment * held_rate)
     state = method.finish(model, state, end.increment, u, method.motion(state, u), begun)
-    record = _record(model, method, state, choices, end.iterations, end.iterations, jnp.array(True))
-    return state, u[:, :3], result, record, _frame(model, state)
+    record = program.record(model, method, state, choices, end.iterations, end.iterations, jnp.array(True))
+    return state, u[:, :3], result, record, program.frame(model, state)
 
 
 def _driven(
     scene, newton, tables, handle, choices, arc_length, steps, max_load_factor, output, bar
 ) -> Solution:
     begun = time.perf_counter()
-    model, carry, record, frame = _prepare(proportional(scene), Static(), newton, tables, handle, choices)
+    model, carry, record, frame = program.prepare(proportional(scene), Static(), newton, tables, handle, choices)
     state, previous, length = carry.state, jnp.zeros_like(carry.state.x), float(arc_length)
     code, message = int(SUCCESSFUL), ""
     log = Log(scene, choices.save_every, record, frame, output, Static(), newton, choices)

@@ -2,16 +2,24 @@
 
 
 class Progress:
-    """A context that shows how a run advances when `enabled` (a tqdm bar on standard error)."""
+    """A context that shows how a run advances when `enabled` (a tqdm bar on standard error).
 
-    def __init__(self, steps: int, enabled: bool):
-        self.steps, self.enabled, self.bar = steps, enabled, None
+    The run is done when its time has advanced by `duration`, or after `steps` steps where that is given.
+    """
+
+    def __init__(self, duration: float | None = None, enabled: bool = True, steps: int | None = None):
+        self.duration, self.enabled, self.steps, self.bar = duration, enabled, steps, None
+        self.taken, self.start = 0, 0.0
 
     def __enter__(self):
         if self.enabled:
             from tqdm.auto import tqdm
 
-            self.bar = tqdm(total=self.steps, unit="step", desc="compiling")
+            self.bar = tqdm(
+                total=100,
+                desc="compiling",
+                bar_format="{desc}{percentage:3.0f}% |{bar}| [{elapsed}<{remaining}{postfix}]",
+            )
         return self
 
     def __exit__(self, *_):
@@ -23,8 +31,15 @@ class Progress:
         if self.bar is None or record.time.size == 0:
             return
         energy = record.observed.kinetic[-1] + record.observed.strain[-1]
+        self.taken += record.time.size
+        if self.steps is None:
+            part = float(record.time[-1] - self.start) / self.duration
+        else:
+            part = self.taken / self.steps
         self.bar.set_description("running", refresh=False)
         self.bar.set_postfix_str(
-            f"t = {record.time[-1]:.4g}, {record.iterations.mean():.1f} iterations/step, energy {energy:.6g}"
+            f"step {self.taken}, t = {record.time[-1]:.4g}, {record.iterations.mean():.1f} iterations/step, "
+            f"energy {energy:.6g}",
+            refresh=False,
         )
-        self.bar.update(record.time.size)
+        self.bar.update(min(100.0 * part, 100.0) - self.bar.n)

@@ -7,24 +7,26 @@ a chunk's histories only, shows progress and hands them to the file. When `simul
 
 import contextlib
 import time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
 
+from jaxshell import program
 from jaxshell.assembly import Tables, analyse, nodal_tables
 from jaxshell.checks import check_finite, check_positive, is_concrete, require_float64
-from jaxshell.gradients import Gradients, Stored, scan_steps
+from jaxshell.gradients import Gradients, Stored
 from jaxshell.linear_solver import Handle, LinearSolver, default_solver
-from jaxshell.methods.base import Method, Observation, Solvers
-from jaxshell.model import Model, structure_of
-from jaxshell.newton import SUCCESSFUL, Linear, Memory, Newton
+from jaxshell.methods.base import Method
+from jaxshell.model import structure_of
+from jaxshell.newton import SUCCESSFUL, Newton
+from jaxshell.program import Carry, Choices, Frame, Record
 from jaxshell.progress import Progress
-from jaxshell.scene import WATCHABLE, Scene
+from jaxshell.scene import Scene
 from jaxshell.solution import RESULTS, Energy, Momentum, Solution, Stats
+from jaxshell.step_control import StepControl
 
 _CHUNK_STEPS = 50
 """Steps between two looks of the host: often enough for a progress bar, seldom enough to cost nothing."""
@@ -36,32 +38,6 @@ class SimulationError(RuntimeError):
     def __init__(self, message: str, solution: Solution):
         super().__init__(message)
         self.solution = solution
-
-
-class Record(NamedTuple):
-    """What is kept of every step."""
-
-    time: Float[Array, ""]
-    watched: Float[Array, " w"]
-    observed: Observation
-    iterations: Int[Array, ""]
-    factorizations: Int[Array, ""]
-    done: Any
-    """Whether the step was taken and succeeded."""
-
-
-class Frame(NamedTuple):
-    time: Float[Array, ""]
-    displacements: Float[Array, "n 3"]
-    rotations: Float[Array, "n 3 3"]
-    velocities: Float[Array, "n 3"]
-
-
-class Carry(NamedTuple):
-    state: Any
-    memory: Memory | None
-    """None for explicit methods."""
-    result: Int[Array, ""]
 
 
 def simulate(
@@ -85,8 +61,8 @@ def simulate(
     Arguments:
         scene: what to run. Differentiable in its floats.
         method: the time integrator, e.g. `GeneralizedEnergyMomentum()`.
-        dt: step size [time], or an array of step sizes (then t_end may be left out). A run whose length is no
-            multiple of dt ends with a shorter step.
+        dt: step size [time], or an array of step sizes (then t_end may be left out), or a `StepControl`. A run
+            whose length is no multiple of dt ends with a shorter step.
         t_end: duration of the run [time], counted from the start (or from the end of `restart`).
         save_every: steps between frames (displacements, rotations, velocities of all nodes); histories are
             kept at every step.
@@ -108,151 +84,82 @@ def simulate(
     require_float64()
     newton = Newton() if newton is None else newton
     _check_options(scene, method, save_every, tangent, newton)
-    steps = _step_sizes(dt, t_end)
+    steps = _controlled(scene, dt, t_end) if isinstance(dt, StepControl) else _step_sizes(dt, t_end)
     linear_solver = default_solver() if linear_solver is None else linear_solver
-    method.check(scene, steps)
+    method.check(scene, np.asarray([dt.initial]) if isinstance(dt, StepControl) else steps)
     if method.uses_matrix:
         tables, pattern = analyse(structure_of(scene))
         handle = linear_solver.prepare(pattern)
     else:
         empty = jnp.zeros(0, jnp.int32)
         tables, handle = nodal_tables(structure_of(scene)), Handle(empty, empty, empty, ())
-    method, newton = _floats_to_arrays((method, newton))
     choices = Choices(tangent, linear_solver, save_every, scene.watch)
+    run = Run(scene, *_floats_to_arrays((method, newton)), tables, handle, choices)
 
     if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, method, newton, steps))):
         if output is not None or progress:
             raise ValueError("output= and progress= need a run that is not traced by jax.grad, jax.vmap or jax.jit.")
-        gradients = Stored() if gradients is None else gradients
-        return _traced_run(scene, method, newton, tables, handle, choices, steps, restart, gradients, throw)
-    with Progress(len(steps), enabled=progress) as bar:
-        solution = _driven_run(scene, method, newton, tables, handle, choices, steps, output, bar, restart)
+        if isinstance(steps, Controlled):
+            raise ValueError(
+                "A run under StepControl cannot be traced by jax.grad, jax.vmap or jax.jit, since its number of "
+                "steps is not known. Run it once, then trace simulate(..., dt=solution.step_sizes)."
+            )
+        return _traced_run(run, steps, restart, Stored() if gradients is None else gradients, throw)
+    duration = steps.stops[-1] if isinstance(steps, Controlled) else np.sum(steps)
+    with Progress(float(duration), enabled=progress) as bar:
+        solution = _driven_run(run, steps, output, bar, restart)
     if throw and solution.message:
         raise SimulationError(solution.message, solution)
     return solution
 
 
-class Choices(NamedTuple):
-    """The static choices of a compiled run."""
+class Run(NamedTuple):
+    """Everything that is fixed during a run."""
 
-    tangent: str
-    linear_solver: LinearSolver
-    save_every: int
-    watch: tuple
-
-
-# --- the compiled programs --------------------------------------------------------------------------------
-
-
-@eqx.filter_jit
-def _prepare(scene: Scene, method: Method, newton: Newton, tables: Tables, handle: Handle, choices: Choices):
-    """Model, start and its record."""
-    model = Model.build(scene, tables)
-    state = method.start(model, scene, 0.0)
-    memory = Linear(choices.linear_solver, handle).memory(newton) if method.uses_matrix else None
-    zero = jnp.zeros((), jnp.int32)
-    return model, Carry(state, memory, zero + SUCCESSFUL), *_first(model, method, state, choices)
+    scene: Scene
+    method: Method
+    newton: Newton
+    tables: Tables
+    handle: Handle
+    choices: Choices
 
 
-@eqx.filter_jit
-def _first(model: Model, method: Method, state, choices: Choices):
-    """Record and frame of the state at the start."""
-    zero = jnp.zeros((), jnp.int32)
-    return _record(model, method, state, choices, zero, zero, jnp.array(True)), _frame(model, state)
+class Controlled(NamedTuple):
+    """A run under step control: when frames are wanted and where steps land, from the run's start."""
+
+    control: StepControl
+    outputs: np.ndarray
+    stops: np.ndarray
 
 
-@eqx.filter_jit
-def _run(model: Model, method: Method, newton: Newton, handle: Handle, choices: Choices, carry: Carry, steps):
-    """Scan over frames of `save_every` steps each; `steps` (dt, time at its end), (frames, save_every) each.
-
-    A step with dt = 0 is none: it fills up the last chunk. After a failure no further step is taken.
-    """
-    solvers = Solvers(newton, Linear(choices.linear_solver, handle), choices.tangent)
-
-    def one(carry: Carry, step):
-        dt, end = step
-
-        def take():
-            state, info, memory = method.step(model, carry.state, dt, solvers, carry.memory)
-            state = eqx.tree_at(lambda s: s.time, state, end)
-            good = info.result == SUCCESSFUL
-            state = jax.tree.map(lambda new, old: jnp.where(good, new, old), state, carry.state)
-            record = _record(model, method, state, choices, info.iterations, info.factorizations, good)
-            return Carry(state, memory, info.result.astype(jnp.int32)), record
-
-        def skip():
-            return carry, jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(take)[1])
-
-        return jax.lax.cond((dt > 0) & (carry.result == SUCCESSFUL), take, skip)
-
-    def frame(carry, steps):
-        carry, records = jax.lax.scan(one, carry, steps)
-        return carry, (records, _frame(model, carry.state))
-
-    carry, (records, frames) = jax.lax.scan(frame, carry, steps)
-    return carry, jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), records), frames
-
-
-def _record(model, method, state, choices: Choices, iterations, factorizations, done) -> Record:
-    watched = [_watched(model, state, node, component) for _, node, component in choices.watch]
-    observed = method.observe(model, state)
-    values = jnp.stack(watched) if watched else jnp.zeros(0)
-    return Record(state.time, values, observed, iterations, factorizations, done)
-
-
-def _watched(model, state, node: int, component: str):
-    axis = WATCHABLE.index(component) % 3
-    return state.v[node, axis] if component[0] == "v" else state.x[node, axis] - model.x0[node, axis]
-
-
-def _frame(model: Model, state) -> Frame:
-    return Frame(state.time, state.x - model.x0, state.R, state.v)
-
-
-# --- driving them -----------------------------------------------------------------------------------------
-
-
-def _driven_run(scene, method, newton, tables, handle, choices, steps, output, bar, restart) -> Solution:
+def _driven_run(run: Run, steps, output, bar, restart) -> Solution:
     begun = time.perf_counter()
-    model, carry, record, frame = _prepare(scene, method, newton, tables, handle, choices)
-    carry, record, frame, start = _resume(model, method, choices, carry, record, frame, restart)
-    save_every = choices.save_every
-    frames = max(1, min(_CHUNK_STEPS // save_every, -(-len(steps) // save_every)))
-    ends = start + np.cumsum(steps)
-    records, shots = [_expand(record)], [_expand(frame)]
-    settings = {
-        "method": repr_of(method), "newton": repr_of(newton), "tangent": choices.tangent, "save_every": save_every,
-        "dt": float(steps[0]), "t_end": float(ends[-1]),
-    }
-    first_chunk = 0.0
-    with _writer(output, scene, settings) as writer:
-        _append(writer, scene, records[0], shots[0])
-        for at in range(0, len(steps), frames * save_every):
-            chunk = slice(at, at + frames * save_every)
-            fill = frames * save_every - len(steps[chunk])
-            pairs = [np.pad(a[chunk], (0, fill)).reshape(frames, save_every) for a in (steps, ends)]
-            carry, record, frame = _run(model, method, newton, handle, choices, carry, tuple(pairs))
-            record, frame = jax.tree.map(np.asarray, (record, frame))
-            done = record.done
-            # Frames none of whose steps was taken repeat the last state.
-            fresh = done.reshape(frames, save_every).any(axis=1)
-            records.append(jax.tree.map(lambda a, done=done: a[done], record))
-            shots.append(jax.tree.map(lambda a, fresh=fresh: a[fresh], frame))
-            _append(writer, scene, records[-1], shots[-1])
+    model, carry, record, frame = program.prepare(*run)
+    carry, record, frame, start = _resume(model, run, carry, record, frame, restart)
+    if isinstance(steps, Controlled):
+        chunks = _controlled_chunks(run, model, carry, steps, start)
+    else:
+        chunks = _fixed_chunks(run, model, carry, steps, start)
+    records, frames = [_expand(record)], [_expand(frame)]
+    first_chunk, counts, bar.start = 0.0, {}, start
+    with _writer(output, run.scene, _settings(run, steps, start)) as writer:
+        _append(writer, run.scene, records[0], frames[0])
+        for carry, record, frame, dt, counts in chunks:
+            records.append(record)
+            frames.append(frame)
+            _append(writer, run.scene, record, frame)
             first_chunk = first_chunk or time.perf_counter() - begun
-            bar.advance(records[-1])
-            if int(carry.result) != SUCCESSFUL:
-                break
-        record, frame = (jax.tree.map(lambda *a: np.concatenate(a), *parts) for parts in (records, shots))
-        code = int(carry.result)
-        taken = record.time.size - 1
-        message = _message(code, taken, record.time[-1], steps[min(taken, len(steps) - 1)])
+            bar.advance(record)
+        record, frame = (jax.tree.map(lambda *a: np.concatenate(a), *parts) for parts in (records, frames))
+        code, taken = int(carry.result), record.time.size - 1
+        message = _message(code, taken, record.time[-1], dt)
         stats = Stats(
-            method=repr_of(method),
-            newton=repr_of(newton),
-            linear_solver=type(choices.linear_solver).__name__,
-            tangent=choices.tangent,
+            method=repr_of(run.method),
+            newton=repr_of(run.newton),
+            linear_solver=type(run.choices.linear_solver).__name__,
+            tangent=run.choices.tangent,
             steps=taken,
+            **counts,
             iterations=int(record.iterations.sum()),
             factorizations=int(record.factorizations.sum()),
             wall_time=time.perf_counter() - begun,
@@ -260,7 +167,58 @@ def _driven_run(scene, method, newton, tables, handle, choices, steps, output, b
         )
         if writer is not None:
             writer.finish(_RESULT_NAMES[code], message, stats)
-    return _solution(scene, record, frame, carry.state, _results()[code], message, stats, jnp.asarray)
+    return _solution(run.scene, record, frame, carry.state, _results()[code], message, stats, jnp.asarray)
+
+
+def _fixed_chunks(run: Run, model, carry, steps, start):
+    """Run given step sizes; yields (carry, record, frame, the size of a step that failed, counts) a chunk."""
+    save_every = run.choices.save_every
+    frames = max(1, min(_CHUNK_STEPS // save_every, -(-len(steps) // save_every)))
+    size, ends, taken = frames * save_every, start + np.cumsum(steps), 0
+    for at in range(0, len(steps), size):
+        fill = size - len(steps[at : at + size])
+        pairs = [np.pad(a[at : at + size], (0, fill)).reshape(frames, save_every) for a in (steps, ends)]
+        carry, *found = program.run(model, run.method, run.newton, run.handle, run.choices, carry, tuple(pairs))
+        record, frame = jax.tree.map(np.asarray, tuple(found))
+        done = record.done
+        # Frames none of whose steps was taken repeat the last state.
+        fresh = done.reshape(frames, save_every).any(axis=1)
+        taken += int(done.sum())
+        yield carry, _select(record, done), _select(frame, fresh), steps[min(taken, len(steps) - 1)], {}
+        if int(carry.result) != SUCCESSFUL:
+            return
+
+
+def _controlled_chunks(run: Run, model, carry, steps: Controlled, start):
+    """Run under step control; yields as `_fixed_chunks`, with a frame at every output time."""
+    control = steps.control
+    outputs, stops = (start + times for times in (steps.outputs, steps.stops))
+    attempts = program.Attempts(carry, control.start(start))
+    while float(attempts.control.time) < stops[-1] and int(attempts.carry.result) == SUCCESSFUL:
+        attempts, found = program.try_steps(
+            model, run.method, run.newton, run.handle, run.choices, control, attempts, stops, np.zeros(_CHUNK_STEPS)
+        )
+        record, frame = jax.tree.map(np.asarray, found)
+        shown = record.done & np.isin(record.time, outputs)
+        counts = {name: int(getattr(attempts.control, name)) for name in ("accepted", "rejected")}
+        yield attempts.carry, _select(record, record.done), _select(frame, shown), attempts.control.dt, counts
+
+
+def _select(tree, which):
+    return jax.tree.map(lambda a: a[which], tree)
+
+
+def _settings(run: Run, steps, start) -> dict:
+    """What a result file says about how the run was made, enough to make it again."""
+    controlled = isinstance(steps, Controlled)
+    return {
+        "method": repr_of(run.method),
+        "newton": repr_of(run.newton),
+        "tangent": run.choices.tangent,
+        "save_every": run.choices.save_every,
+        "dt": repr_of(steps.control) if controlled else float(steps[0]),
+        "t_end": float(start + (steps.stops[-1] if controlled else np.sum(steps))),
+    }
 
 
 def _writer(output, scene: Scene, settings: dict):
@@ -271,13 +229,13 @@ def _writer(output, scene: Scene, settings: dict):
     return ResultWriter(output, scene, settings)
 
 
-def _traced_run(
-    scene, method, newton, tables, handle, choices, steps, restart, gradients: Gradients, throw: bool
-) -> Solution:
-    model, carry, record, frame = _prepare(scene, method, newton, tables, handle, choices)
-    carry, record, frame, start = _resume(model, method, choices, carry, record, frame, restart)
+def _traced_run(run: Run, steps, restart, gradients: Gradients, throw: bool) -> Solution:
+    model, carry, record, frame = program.prepare(*run)
+    carry, record, frame, start = _resume(model, run, carry, record, frame, restart)
     pairs = jnp.asarray(steps), start + jnp.cumsum(jnp.asarray(steps))
-    carry, records, shots = _run_whole(model, method, newton, handle, choices, gradients, carry, pairs)
+    carry, records, shots = program.run_whole(
+        model, run.method, run.newton, run.handle, run.choices, gradients, carry, pairs
+    )
     record, frame = (
         jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), *parts)
         for parts in ((record, records), (frame, shots))
@@ -285,35 +243,8 @@ def _traced_run(
     result = _results()[0]
     for code, item in enumerate(_results()):
         result = RESULTS.where(carry.result == code, item, result)
-    solution = _solution(scene, record, frame, carry.state, result, "", Stats(), lambda a: a)
+    solution = _solution(run.scene, record, frame, carry.state, result, "", Stats(), lambda a: a)
     return _raise_on_failure(solution) if throw else solution
-
-
-@eqx.filter_jit
-def _run_whole(
-    model: Model, method: Method, newton: Newton, handle: Handle, choices: Choices, gradients: Gradients, carry, steps
-):
-    """A whole run in one program, for transformations by JAX; `steps` (dt, time at its end), (N,) each.
-
-    The state after a failed step is NaN. The steps that follow see that at once and cost one residual each.
-    """
-    solvers = Solvers(newton, Linear(choices.linear_solver, handle), choices.tangent)
-
-    def one(carry: Carry, step):
-        dt, end = step
-        state, info, memory = method.step(model, carry.state, dt, solvers, carry.memory)
-        state = eqx.tree_at(lambda s: s.time, state, end)
-        result = jnp.where(carry.result == SUCCESSFUL, info.result.astype(jnp.int32), carry.result)
-        good = result == SUCCESSFUL
-        # As a factor, so that what is differentiated through a failure is NaN too.
-        factor = jnp.where(good, 1.0, jnp.nan)
-        state = jax.tree.map(lambda a: a * factor if jnp.issubdtype(a.dtype, jnp.inexact) else a, state)
-        record = _record(model, method, state, choices, info.iterations, info.factorizations, good)
-        return Carry(state, memory, result), record
-
-    return scan_steps(
-        gradients, one, lambda carry: _frame(model, carry.state), carry, steps, choices.save_every
-    )
 
 
 def _raise_on_failure(solution: Solution) -> Solution:
@@ -326,13 +257,13 @@ def _raise_on_failure(solution: Solution) -> Solution:
     return eqx.combine(eqx.tree_at(lambda s: s.scene, floats, scene), rest)
 
 
-def _resume(model, method, choices, carry: Carry, record, frame, restart: Solution | None):
+def _resume(model, run: Run, carry: Carry, record, frame, restart: Solution | None):
     if restart is None:
         return carry, record, frame, 0.0
     if jax.tree.structure(restart.state) != jax.tree.structure(carry.state):
         raise ValueError("restart must be a solution of the same scene and method, with its final state.")
     carry = carry._replace(state=restart.state)
-    return carry, *_first(model, method, carry.state, choices), float(restart.times[-1])
+    return carry, *program.first(model, run.method, carry.state, run.choices), float(restart.times[-1])
 
 
 def _solution(scene, record: Record, frame: Frame, state, result, message, stats, convert) -> Solution:
@@ -385,7 +316,7 @@ def _results() -> list[RESULTS]:
 def _message(code: int, taken: int, at, dt) -> str:
     if code == SUCCESSFUL:
         return ""
-    return f"Step {taken + 1}, from t = {at:.6g} with dt = {dt:.3g}: {RESULTS[_results()[code]]}"
+    return f"Step {taken + 1}, from t = {at:.6g} with dt = {float(dt):.3g}: {RESULTS[_results()[code]]}"
 
 
 def repr_of(module) -> str:
@@ -402,6 +333,19 @@ def _expand(tree):
 def _floats_to_arrays(tree):
     """Python floats as arrays, so that another value compiles nothing anew."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, tree)
+
+
+def _controlled(scene: Scene, control: StepControl, t_end) -> Controlled:
+    if t_end is None:
+        raise ValueError("t_end, the duration of the run, is missing.")
+    check_positive("t_end", t_end)
+    interval = t_end / 100 if control.output_interval is None else control.output_interval
+    outputs = np.append(np.arange(interval, t_end * (1 - 1e-9), interval), t_end)
+    histories = [item.history for item in (*scene.loads, *scene.supports) if item.history is not None]
+    kinks = np.concatenate([np.zeros(0), *(np.asarray(h.times) for h in histories if is_concrete(h.times))])
+    stops = np.unique(np.concatenate([outputs, kinks[(kinks > 0) & (kinks < t_end)]]))
+    # Times that differ by round-off only are one.
+    return Controlled(_floats_to_arrays(control), outputs, stops[np.append(np.diff(stops) > 1e-9 * t_end, True)])
 
 
 def _step_sizes(dt, t_end):

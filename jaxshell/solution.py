@@ -84,6 +84,11 @@ class Solution(eqx.Module):
     state: Any = None
     """The method's state at the end, from which `simulate(restart=...)` goes on; not kept in files."""
 
+    @property
+    def step_sizes(self) -> Float[jax.Array, " k-1"]:
+        """Sizes of the steps taken, e.g. to differentiate a run under step control with its steps frozen."""
+        return self.times[1:] - self.times[:-1]
+
     def save(self, path) -> None:
         """Write the run and its scene to an HDF5 file; an existing file is replaced."""
         from jaxshell import storage  # which imports this file

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxshell import program
 from jaxshell.assembly import Tables, analyse
 from jaxshell.checks import check_finite, is_concrete, require_float64
 from jaxshell.gradients import Stored
@@ -25,19 +26,17 @@ from jaxshell.methods.base import Solvers
 from jaxshell.methods.static import Static, StaticState, reactions_at
 from jaxshell.model import Model, structure_of
 from jaxshell.newton import SUCCESSFUL, Linear, Newton
+from jaxshell.program import Choices
 from jaxshell.progress import Progress
 from jaxshell.scene import Scene
 from jaxshell.simulate import (
     _RESULT_NAMES,
-    Choices,
+    Run,
     SimulationError,
     _append,
     _check_options,
     _expand,
     _floats_to_arrays,
-    _frame,
-    _prepare,
-    _record,
     _results,
     _solution,
     _traced_run,
@@ -125,9 +124,9 @@ def solve_static(
                 "output= and progress= need a run that is not traced by jax.grad, jax.vmap or jax.jit."
             )
         steps = jnp.diff(jnp.asarray(factors), prepend=0.0)
-        run = (proportional(scene), Static(), newton, tables, handle, choices, steps, None, Stored(), throw)
-        return eqx.tree_at(lambda s: s.scene, _traced_run(*run), scene)
-    with Progress(len(factors), enabled=progress) as bar:
+        run = Run(proportional(scene), Static(), newton, tables, handle, choices)
+        return eqx.tree_at(lambda s: s.scene, _traced_run(run, steps, None, Stored(), throw), scene)
+    with Progress(float(factors[-1]), enabled=progress) as bar:
         solution = _driven(scene, newton, tables, handle, choices, factors, output, bar)
     if throw and solution.message:
         raise SimulationError(solution.message, solution)
@@ -140,13 +139,13 @@ def _advance(model: Model, newton: Newton, handle, choices: Choices, state: Stat
     solvers = Solvers(newton, Linear(choices.linear_solver, handle), choices.tangent)
     state, info, memory = Static().step(model, state, step, solvers, memory)
     state = eqx.tree_at(lambda s: s.time, state, end)
-    record = _record(model, Static(), state, choices, info.iterations, info.factorizations, jnp.array(True))
-    return state, memory, info.result, record, _frame(model, state)
+    record = program.record(model, Static(), state, choices, info.iterations, info.factorizations, jnp.array(True))
+    return state, memory, info.result, record, program.frame(model, state)
 
 
 def _driven(scene, newton, tables, handle, choices: Choices, factors, output, bar) -> Solution:
     begun = time.perf_counter()
-    model, carry, record, frame = _prepare(proportional(scene), Static(), newton, tables, handle, choices)
+    model, carry, record, frame = program.prepare(proportional(scene), Static(), newton, tables, handle, choices)
     state, memory = carry.state, carry.memory
     log = Log(scene, choices.save_every, record, frame, output, Static(), newton, choices)
     code, at, size = int(SUCCESSFUL), 0.0, np.inf

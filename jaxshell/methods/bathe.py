@@ -12,7 +12,6 @@ that Ω_1 = (3 Θ_2 - Θ_1)/Δt and Ω̇_1 = (3 Ω_1 - 4 Ω_½ + Ω_0)/Δt. (Exa
 that is O(Δt²), of the order of the formula's own error, and nothing when the axis of rotation stays.)
 """
 
-import jax
 import jax.numpy as jnp
 
 from jaxshell.elements.inertia import GAUSS_POINTS, Spins, StepFactors
