@@ -13,14 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxshell import methods
-from jaxshell.chart import Configuration, Point, measure, reference_of, timed
+from jaxshell.chart import Configuration, Point, default_window, measure, reference_of, timed
 from jaxshell.newton import Newton
-from jaxshell.references import Reference, shipped_reference, signal_error, signals
+from jaxshell.references import Reference, signal_error, signals
 from jaxshell.scene import Scene
 from jaxshell.solution import Solution
 
-TRIAL_STEPS = 100
-"""Default steps that trials cover in scenes without a shipped reference."""
 _MARGIN = 0.8
 """Part of the tolerance that a configuration may use: the reference and the window are not everything."""
 _FINEST = 7
@@ -63,9 +61,7 @@ def advise(
     if not 0 < tolerance < 1:
         raise ValueError(f"tolerance must lie between 0 and 1, but it is {tolerance}.")
     if reference is None:
-        if t_end is None:
-            t_end = TRIAL_STEPS * dt if shipped_reference(scene) is None else np.inf
-        reference = reference_of(scene, dt, t_end, 0.1 * tolerance, say)
+        reference = reference_of(scene, dt, default_window(scene, dt, t_end), 0.1 * tolerance, say)
     goal = _MARGIN * tolerance - reference.uncertainty
     if goal <= 0:
         raise ValueError(
@@ -145,14 +141,18 @@ class _Search:
         for _ in range(_FINEST):
             dt *= 0.5
             if self.best is not None and 1.5 * point.seconds > self.best[0].seconds:
-                self.given_up[label] = f"at dt = {2 * dt:.3g} its error is {point.error:.1e} and it is no cheaper"
+                self.given_up[label] = (
+                    f"at dt = {2 * dt:.3g} its error is {point.error:.1e} and it is no cheaper"
+                )
                 return
             point = self.attempt(Configuration("method", label, method, dt))
             if point.error <= self.goal:
                 return
             stuck = np.isfinite(point.error) and point.error > 0.9 * last and point.error > 3 * self.goal
             if stuck and last < 0.1:
-                self.given_up[label] = f"its error does not fall below {point.error:.1e}: it models something else"
+                self.given_up[label] = (
+                    f"its error does not fall below {point.error:.1e}: it models something else"
+                )
                 return
             last = point.error
         self.given_up[label] = f"at dt = {dt:.3g} its error is still {point.error:.1e}"
@@ -166,7 +166,9 @@ class _Search:
         """Why this method and step, and what rotary inertia does."""
         assert self.best is not None
         point, best = self.best
-        reasons = [f"{point.label} at dt = {point.dt:.3g} has an error of {point.error:.1e} and takes {point.seconds:.3g} s"]
+        reasons = [
+            f"{point.label} at dt = {point.dt:.3g} has an error of {point.error:.1e} and takes {point.seconds:.3g} s"
+        ]
         larger = [p for p in self.points if p.label == point.label and p.dt > 1.01 * point.dt]
         if larger:
             nearest = min(larger, key=lambda p: p.dt)
@@ -181,7 +183,9 @@ class _Search:
         if isinstance(best.method, methods.GeneralizedEnergyMomentum):
             change = inertia_change(self.scene, best, self.reference)
             left_out = best.method.inertia == "none"
-            verdict = "left out" if left_out else ("could be left out" if change <= 0.1 * self.goal else "kept")
+            verdict = (
+                "left out" if left_out else ("could be left out" if change <= 0.1 * self.goal else "kept")
+            )
             reasons.append(f"rotary inertia changes the answer by {change:.1e}: {verdict}")
         return reasons
 
@@ -194,7 +198,9 @@ class _Search:
         exact = self.best[0]
         for tolerance in (1e-6, 1e-4, 1e-3):
             before = self.best
-            tried = before[1]._replace(newton=Newton(tolerance), label=f"{exact.label}, Newton to {tolerance:g}")
+            tried = before[1]._replace(
+                newton=Newton(tolerance), label=f"{exact.label}, Newton to {tolerance:g}"
+            )
             point = self.attempt(tried)
             if self.best is before:
                 why = f"error {point.error:.1e}" if point.error > self.goal else "no cheaper"
@@ -208,7 +214,9 @@ class _Search:
         point = self.attempt(tried)
         gain = before[0].seconds / point.seconds
         kept = self.best is not before
-        reasons.append(f"keeping factors over iterations and steps: {gain:.2f} times as fast{'' if kept else ', not used'}")
+        reasons.append(
+            f"keeping factors over iterations and steps: {gain:.2f} times as fast{'' if kept else ', not used'}"
+        )
         return reasons
 
 
@@ -247,8 +255,28 @@ def describe(scene: Scene, advice: Advice) -> str:
     ]
     if scene.defaults is not None and window < 0.999 * scene.defaults.t_end:
         lines.append(f"  What happens after t = {window:.4g} was not tried.")
-    lines += ["Use", f"  js.simulate(scene, js.{method_text(advice.best.method)}, dt={advice.best.dt:.6g}, t_end=...{_newton_text(advice.best)})"]
+    lines += [
+        "Use",
+        f"  js.simulate(scene, js.{method_text(advice.best.method)}, dt={advice.best.dt:.6g}, t_end=...{_newton_text(advice.best)})",
+    ]
     return "\n".join(lines)
+
+
+def command_line(scene: str, advice: Advice) -> str:
+    """The advice as a command."""
+    method, newton = advice.best.method, advice.best.newton
+    parts = ["jaxshell run", scene, "--method", _file_name(method)]
+    if isinstance(method, methods.GeneralizedEnergyMomentum):
+        if float(method.spectral_radius) != 1.0:
+            parts.append(f"--spectral-radius {float(method.spectral_radius):g}")
+        if method.inertia != "seven_point":
+            parts.append(f"--inertia {method.inertia}")
+    parts.append(f"--dt {advice.best.dt:.6g}")
+    if float(newton.tolerance) != float(Newton().tolerance):
+        parts.append(f"--newton-tolerance {float(newton.tolerance):g}")
+    if newton.reuse:
+        parts.append("--newton-reuse")
+    return " ".join(parts)
 
 
 def run_section(scene: Scene, advice: Advice) -> str:

@@ -4,8 +4,10 @@
 the picture. `jaxshell chart SCENE` does all three, `jaxshell.advise` uses the first.
 """
 
+import json
 import time
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +20,8 @@ from jaxshell.scene import Scene
 from jaxshell.simulate import simulate
 from jaxshell.solution import Solution
 
+TRIAL_STEPS = 100
+"""Default steps that trials cover in scenes without a shipped reference."""
 _LONG_ENOUGH = 0.5
 """A run of so many seconds is timed once, a shorter one three times."""
 _DENSE_UNKNOWNS = 500
@@ -54,7 +58,13 @@ def measure(scene: Scene, tried: Configuration, reference: Reference, t_end: flo
     run, seconds = timed(scene, tried, float(reference.times[-1]) if t_end is None else t_end)
     error = np.inf if run.message else run_error(reference, run)
     return Point(
-        tried.kind, tried.label, tried.dt, seconds, error, int(run.stats["steps"]), int(run.stats["iterations"])
+        tried.kind,
+        tried.label,
+        tried.dt,
+        seconds,
+        error,
+        int(run.stats["steps"]),
+        int(run.stats["iterations"]),
     )
 
 
@@ -108,7 +118,9 @@ def make_reference(
         # One extrapolation is known to about its distance from the run; two, to their distance from each other.
         before = runs[-1] if len(runs) < 3 else extrapolate(*runs[-3:-1])
         uncertainty = float(agreement(times, before, second)[-1]) / (1 if len(runs) < 3 else 15)
-        found = Reference(times, second, uncertainty, f"EnergyMomentum to dt = {dt / 2**level:.3g}, extrapolated")
+        found = Reference(
+            times, second, uncertainty, f"EnergyMomentum to dt = {dt / 2**level:.3g}, extrapolated"
+        )
         say(f"  reference: dt = {dt / 2**level:.3g}, known to {uncertainty:.1e}")
         if uncertainty <= target:
             break
@@ -126,6 +138,13 @@ def reference_of(scene: Scene, dt: float, t_end: float, target: float, say: Call
     return shipped._replace(
         times=shipped.times[within], signals={name: v[within] for name, v in shipped.signals.items()}
     )
+
+
+def default_window(scene: Scene, dt: float, t_end: float | None) -> float:
+    """The time that trials cover: as asked, else a shipped reference's whole window, else `TRIAL_STEPS` of dt."""
+    if t_end is not None:
+        return t_end
+    return TRIAL_STEPS * dt if shipped_reference(scene) is None else np.inf
 
 
 def configurations(scene: Scene, dt: float) -> list[Configuration]:
@@ -184,6 +203,19 @@ def chart(
     return points, reference
 
 
+def write_points(path: Path, scene: Scene, points: Sequence[Point], reference: Reference) -> None:
+    """The measured points as JSON, with what they were measured against."""
+    content = {
+        "scene": scene.name,
+        "elements": scene.mesh.n_elements,
+        "window": float(reference.times[-1]),
+        "reference": reference.origin,
+        "uncertainty": reference.uncertainty,
+        "points": [p._asdict() | {"error": p.error if np.isfinite(p.error) else None} for p in points],
+    }
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
 def pareto(points: Iterable[Point]) -> list[Point]:
     """Those that no other beats in both error and time, by time."""
     front: list[Point] = []
@@ -211,11 +243,20 @@ def draw(title: str, points: Sequence[Point], peers: Sequence[Point] = (), floor
                 solid_capstyle="round", label="best of all (Pareto front)",
             )  # fmt: skip
             if floor:
-                axes.axhline(floor, color="0.5", linewidth=0.8, linestyle=":", label="reference's uncertainty")
+                axes.axhline(
+                    floor, color="0.5", linewidth=0.8, linestyle=":", label="reference's uncertainty"
+                )
             axes.set(xscale="log", yscale="log", xlabel="Time of the run in s")
         methods_ = list(dict.fromkeys(p.label for p in points if p.kind == "method"))
         for k, label in enumerate(methods_):
-            _line(left, [p for p in points if p.label == label], COLOURS[k % 7], DASHES[k % 7], markers[k], label)
+            _line(
+                left,
+                [p for p in points if p.label == label],
+                COLOURS[k % 7],
+                DASHES[k % 7],
+                markers[k],
+                label,
+            )
         for k, label in enumerate(dict.fromkeys(p.label for p in peers)):
             own = [p for p in peers if p.label == label]
             _line(left, own, "black", DASHES[k % 7], markers[-1 - k], label, hollow=True)
