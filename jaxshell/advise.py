@@ -45,7 +45,6 @@ def advise(
     t_end: float | None = None,
     say: Callable[[str], None] = print,
     reference: Reference | None = None,
-    measure: Callable[..., Point] = measure,
 ) -> Advice:
     """The cheapest configuration whose answer is within `tolerance` of the converged one.
 
@@ -54,7 +53,6 @@ def advise(
         dt: step from which trials start, up and down.
         t_end: time that trials cover; default: a shipped reference's whole window, else 100 dt.
         say: told each trial. reference: instead of the shipped or a new one.
-        measure: how a configuration is tried (scene, configuration, reference) → `Point`.
 
     Raises ValueError for a tolerance out of range, or when the scene does not run at any step.
     """
@@ -68,7 +66,7 @@ def advise(
             f"The reference is known to {reference.uncertainty:.1e} only: ask for a tolerance above "
             f"{1.5 * reference.uncertainty / _MARGIN:.1e}, a smaller dt, or a shorter trial."
         )
-    search = _Search(scene, reference, goal, say, measure)
+    search = _Search(scene, reference, goal, say)
     for label, method in candidates():
         search.try_method(label, method, dt)
     if search.best is None:
@@ -98,8 +96,8 @@ def candidates() -> list[tuple[str, methods.Method]]:
 class _Search:
     """What was tried so far and the best of it."""
 
-    def __init__(self, scene: Scene, reference: Reference, goal: float, say, measure):
-        self.scene, self.reference, self.goal, self.say, self.measure = scene, reference, goal, say, measure
+    def __init__(self, scene: Scene, reference: Reference, goal: float, say):
+        self.scene, self.reference, self.goal, self.say = scene, reference, goal, say
         self.tried: list[tuple[Point, Configuration]] = []
         self.best: tuple[Point, Configuration] | None = None
         self.given_up: dict[str, str] = {}
@@ -110,7 +108,7 @@ class _Search:
 
     def attempt(self, configuration: Configuration) -> Point:
         """Measure, remember, and keep it when it is the cheapest that meets the goal."""
-        point = self.measure(self.scene, configuration, self.reference)
+        point = measure(self.scene, configuration, self.reference)
         self.tried.append((point, configuration))
         self.say(
             f"  {point.label}, dt = {point.dt:.3g}: error {point.error:.1e}, {point.seconds:.3g} s"
