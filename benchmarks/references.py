@@ -22,7 +22,7 @@ jax.config.update("jax_enable_x64", True)
 
 import jaxshell as js
 from jaxshell import references
-from jaxshell.references import Reference
+from jaxshell.references import Reference, agreement, extrapolate
 
 HERE = Path(__file__).parent
 DATA = Path(references.__file__).parent / "data"
@@ -49,21 +49,6 @@ def run(scene, dt: float, window: float, samples: float):
         scene, js.EnergyMomentum(), dt=dt, t_end=window, save_every=max(1, round(samples / dt)), newton=NEWTON
     )
     return np.asarray(solution.frame_times), references.signals(scene, np.asarray(solution.displacements))
-
-
-def extrapolate(coarse, fine, order: int = 2):
-    """Richardson's extrapolation of two runs, the step halved."""
-    factor = 2**order
-    return {name: (factor * fine[name] - coarse[name]) / (factor - 1) for name in fine}
-
-
-def agreement(times, one, other) -> np.ndarray:
-    """The largest difference up to each time, in the measure of `references.error`."""
-    worst = np.zeros(len(times))
-    for name in one:
-        distance = np.linalg.norm(one[name] - other[name], axis=1)
-        worst = np.maximum(worst, distance / references.signal_size(name, other[name]))
-    return np.maximum.accumulate(worst)
 
 
 def in_time(name: str) -> dict:
@@ -149,7 +134,9 @@ def in_space(name: str, refine_time: float) -> list[dict]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("scenes", nargs="*", default=list(SCENES), choices=list(SCENES))
     parser.add_argument("--meshes", action="store_true", help="refine the mesh too (minutes to an hour)")
     options = parser.parse_args()

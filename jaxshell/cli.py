@@ -1,10 +1,11 @@
-"""The command `jaxshell`: run a scene, plot result files, list the scenes.
+"""The command `jaxshell`: run a scene, plot result files, chart and advise on speed, list the scenes.
 
 Exit status: 0, or 1 when a run failed (what it finished is kept and drawn), 2 for bad input, 130 when stopped
 by the keyboard. JAX and matplotlib are imported when a command needs them, and float64 is switched on here.
 """
 
 import argparse
+import dataclasses
 import itertools
 import sys
 from collections.abc import Sequence
@@ -54,6 +55,15 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--dissipation", type=float, metavar="XI", help="in place of the method's")
     run.add_argument("--tangent", choices=("closed_form", "autodiff"), help="default: closed_form")
     run.add_argument(
+        "--inertia",
+        choices=("seven_point", "traditional", "none"),
+        help="rotary inertia, in place of the method's",
+    )
+    run.add_argument("--newton-tolerance", type=float, metavar="TOL", help="default: 1e-8")
+    run.add_argument(
+        "--newton-reuse", action="store_true", default=None, help="keep factors over iterations and steps"
+    )
+    run.add_argument(
         "--output", type=Path, default=Path("."), metavar="DIR", help="where files go (default: here)"
     )
     run.add_argument("--no-plots", action="store_true", help="write the results only")
@@ -65,6 +75,27 @@ def _parser() -> argparse.ArgumentParser:
     plot.add_argument(
         "--output", type=Path, metavar="DIR", help="where pictures go (default: beside the file)"
     )
+
+    chart = commands.add_parser(
+        "chart", help="draw error against time for every choice, and the best of them"
+    )
+    chart.set_defaults(command=_chart)
+    chart.add_argument(
+        "--output", type=Path, default=Path("."), metavar="DIR", help="where files go (default: here)"
+    )
+    advise = commands.add_parser("advise", help="find the cheapest way to run a scene to a tolerance")
+    advise.set_defaults(command=_advise)
+    advise.add_argument(
+        "--tolerance", type=float, default=1e-2, help="relative error allowed (default: 0.01)"
+    )
+    advise.add_argument(
+        "--output", type=Path, metavar="FILE", help="write the scene file's [run] section here too"
+    )
+    for command in (chart, advise):
+        command.add_argument("scene", metavar="SCENE", help="a scene's name, a .toml or .h5 file")
+        command.add_argument("--dt", type=float, help="step to start from (default: the scene's)")
+        command.add_argument("--t-end", type=float, help="time that trials cover (default: see the manual)")
+        command.add_argument("--quiet", action="store_true", help="print the outcome only")
 
     scenes = commands.add_parser("scenes", help="list the scenes that `run` knows by name")
     scenes.set_defaults(command=_scenes)
@@ -108,6 +139,8 @@ def _run(options: argparse.Namespace) -> int:
     dt, t_end = (_wanted(options, settings, scene, key) for key in ("dt", "t_end"))
     save_every = _wanted(options, settings, scene, "save_every")
     tangent = options.tangent or settings.get("tangent", "closed_form")
+    methods = {label: _with_inertia(label, method, options, settings) for label, method in methods.items()}
+    newton = _newton(options, settings)
 
     options.output.mkdir(parents=True, exist_ok=True)
     say = (lambda *_: None) if options.quiet else print
@@ -123,6 +156,7 @@ def _run(options: argparse.Namespace) -> int:
                 t_end=t_end,
                 save_every=save_every,
                 tangent=tangent,
+                newton=newton,
                 throw=False,
                 progress=sys.stderr.isatty() and not options.quiet,
                 output=path,
@@ -165,6 +199,39 @@ def _plot(options: argparse.Namespace) -> int:
     for path in plot(dict(zip(labels, loaded.values(), strict=True)), options.output or first.parent, stem):
         print(path)
     return 0
+
+
+def _chart(options: argparse.Namespace) -> int:
+    _use_float64()
+    from jaxshell.chart import chart, default_window, draw, write_points
+
+    scene, settings, stem = _open_scene(options.scene)
+    dt = _wanted(options, settings, scene, "dt")
+    options.output.mkdir(parents=True, exist_ok=True)
+    say = (lambda *_: None) if options.quiet else lambda text: print(text, flush=True)
+    points, reference = chart(scene, dt, default_window(scene, dt, options.t_end), say=say)
+    data, picture = (options.output / f"{stem}_work_precision{end}" for end in (".json", ".png"))
+    write_points(data, scene, points, reference)
+    draw(scene.name, points, floor=reference.uncertainty).savefig(picture, bbox_inches="tight")
+    print(f"{data}\n{picture}")
+    return 0
+
+
+def _advise(options: argparse.Namespace) -> int:
+    _use_float64()
+    from jaxshell.advise import advise, command_line, describe, run_section
+
+    scene, settings, _ = _open_scene(options.scene)
+    dt = _wanted(options, settings, scene, "dt")
+    say = (lambda *_: None) if options.quiet else lambda text: print(text, flush=True)
+    advice = advise(scene, options.tolerance, dt, options.t_end, say)
+    print(describe(scene, advice))
+    print(f"  {command_line(options.scene, advice)}")
+    section = run_section(scene, advice)
+    print(f"or, in a scene file,\n{section}", end="")
+    if options.output is not None:
+        options.output.write_text(section, encoding="utf-8")
+    return 0 if advice.met else 1
 
 
 def _scenes(options: argparse.Namespace) -> int:
@@ -219,6 +286,28 @@ def _wanted(options: argparse.Namespace, settings: dict, scene, key: str):
     raise ValueError(
         f"The scene gives no {key}: add --{key.replace('_', '-')}, or {key} in the file's [run]."
     )
+
+
+def _with_inertia(label: str, method, options: argparse.Namespace, settings: dict):
+    form = options.inertia or settings.get("inertia")
+    if form is None:
+        return method
+    if not hasattr(method, "inertia"):
+        raise ValueError(f"The method {label!r} has no choice of inertia.")
+    return dataclasses.replace(method, inertia=form)
+
+
+def _newton(options: argparse.Namespace, settings: dict):
+    from jaxshell.newton import Newton
+
+    named = {"tolerance": "newton_tolerance", "reuse": "newton_reuse"}
+    given = {
+        name: value
+        for name, key in named.items()
+        if (value := getattr(options, key) if getattr(options, key) is not None else settings.get(key))
+        is not None
+    }
+    return Newton(**given)
 
 
 def _file_part(label: str) -> str:

@@ -88,6 +88,21 @@ def signal_size(name: str, values: Float[np.ndarray, "k q"]) -> float:
     return 1.0 if name == ORIENTATION or largest == 0 else largest
 
 
+def extrapolate(coarse: Signals, fine: Signals, order: int = 2) -> dict[str, Float[np.ndarray, "k q"]]:
+    """Richardson's extrapolation of two runs, the step halved."""
+    factor = 2**order
+    return {name: (factor * fine[name] - coarse[name]) / (factor - 1) for name in fine}
+
+
+def agreement(times, one: Signals, other: Signals) -> Float[np.ndarray, " k"]:
+    """The largest difference up to each time, in the measure of `error`."""
+    worst = np.zeros(len(times))
+    for name in one:
+        distance = np.linalg.norm(one[name] - other[name], axis=1)
+        worst = np.maximum(worst, distance / signal_size(name, other[name]))
+    return np.maximum.accumulate(worst)
+
+
 def run_error(reference: Reference, run: Solution) -> float:
     """`error` of a solution that kept every step as a frame, or every so many."""
     return error(run.scene, reference, np.asarray(run.frame_times), np.asarray(run.displacements))

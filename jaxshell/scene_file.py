@@ -7,7 +7,8 @@
     [[loads]]      kind = "force", "moment", "edge force", "gravity" or "pressure"; nodes; its vector; history
     [watch]        label = { nearest or node, component }
     [initial]      velocity, angular_velocity, about: a rigid motion
-    [run]          method, spectral_radius, dissipation, dt, t_end, save_every, tangent, picture_times
+    [run]          method, spectral_radius, dissipation, inertia, dt, t_end, save_every, tangent, picture_times,
+                   newton_tolerance, newton_reuse
 
 Nodes are chosen by `nodes = [...]`, `nearest = [x, y, z]`, `plane = { x = 0.0 }`, `box = [[low], [high]]` or
 `boundary = true`; several of these together choose what fulfils all. A history is `{ times, values }` or
@@ -28,7 +29,8 @@ from jaxshell.section import Section
 from jaxshell.supports import ALL, Support, symmetry
 
 RUN_KEYS = (
-    "method", "spectral_radius", "dissipation", "dt", "t_end", "save_every", "tangent", "picture_times",
+    "method", "spectral_radius", "dissipation", "inertia", "dt", "t_end", "save_every", "tangent",
+    "picture_times", "newton_tolerance", "newton_reuse",
 )  # fmt: skip
 _SELECTORS = ("nodes", "nearest", "plane", "box", "boundary")
 _LOADS = {

@@ -1,0 +1,322 @@
+"""The cheapest way to run a scene to a tolerance, found by short trial runs and given with its reasons.
+
+Trials against a converged reference (`jaxshell.references`), over the reference's window:
+1. methods, each at the largest step of a halving sequence that meets the tolerance, given up as soon as it is
+   dearer than the best so far;
+2. physics that the answer does not feel: rotary inertia, compared at equal step;
+3. for the winner: a looser Newton tolerance, and factors kept over iterations and steps.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxshell import methods
+from jaxshell.chart import Configuration, Point, default_window, measure, reference_of, timed
+from jaxshell.newton import Newton
+from jaxshell.references import Reference, signal_error, signals
+from jaxshell.scene import Scene
+from jaxshell.solution import Solution
+
+_MARGIN = 0.8
+"""Part of the tolerance that a configuration may use: the reference and the window are not everything."""
+_FINEST = 7
+"""Halvings of the step tried for a method before it is given up."""
+
+
+class Advice(NamedTuple):
+    """The best configuration found, why, and everything that was tried."""
+
+    best: Configuration
+    point: Point
+    reasons: list[str]
+    points: list[Point]
+    reference: Reference
+    tolerance: float
+    met: bool
+    """Whether anything tried met the tolerance; else `best` is the most accurate."""
+
+
+def advise(
+    scene: Scene,
+    tolerance: float,
+    dt: float,
+    t_end: float | None = None,
+    say: Callable[[str], None] = print,
+    reference: Reference | None = None,
+) -> Advice:
+    """The cheapest configuration whose answer is within `tolerance` of the converged one.
+
+    Arguments:
+        tolerance: of the scene's figure of merit, relative (see `jaxshell.references`); above 0, below 1.
+        dt: step from which trials start, up and down.
+        t_end: time that trials cover; default: a shipped reference's whole window, else 100 dt.
+        say: told each trial. reference: instead of the shipped or a new one.
+
+    Raises ValueError for a tolerance out of range, or when the scene does not run at any step.
+    """
+    if not 0 < tolerance < 1:
+        raise ValueError(f"tolerance must lie between 0 and 1, but it is {tolerance}.")
+    if reference is None:
+        reference = reference_of(scene, dt, default_window(scene, dt, t_end), 0.1 * tolerance, say)
+    goal = _MARGIN * tolerance - reference.uncertainty
+    if goal <= 0:
+        raise ValueError(
+            f"The reference is known to {reference.uncertainty:.1e} only: ask for a tolerance above "
+            f"{1.5 * reference.uncertainty / _MARGIN:.1e}, a smaller dt, or a shorter trial."
+        )
+    search = _Search(scene, reference, goal, say)
+    for label, method in candidates():
+        search.try_method(label, method, dt)
+    if search.best is None:
+        point, best = min(search.tried, key=lambda pair: (pair[0].error, pair[0].seconds))
+        reasons = [f"Nothing tried meets {tolerance:g}; the most accurate has an error of {point.error:.1e}"]
+        return Advice(best, point, reasons, search.points, reference, tolerance, False)
+    reasons = search.method_reasons()
+    reasons += search.refine_newton()
+    assert search.best is not None
+    point, best = search.best
+    return Advice(best, point, reasons, search.points, reference, tolerance, True)
+
+
+def candidates() -> list[tuple[str, methods.Method]]:
+    """The methods that are tried, the likely winners first since they bound the others' cost."""
+    gem = methods.GeneralizedEnergyMomentum
+    return [
+        ("EMC", gem()),
+        ("EMC without rotary inertia", gem(inertia="none")),
+        ("EDMC, ρ∞ 0.8, without rotary inertia", gem(0.8, inertia="none")),
+        ("exact", methods.EnergyMomentum()),
+        ("generalised α, ρ∞ 0.8", methods.GeneralizedAlpha()),
+        ("central differences", methods.CentralDifference()),
+    ]
+
+
+class _Search:
+    """What was tried so far and the best of it."""
+
+    def __init__(self, scene: Scene, reference: Reference, goal: float, say):
+        self.scene, self.reference, self.goal, self.say = scene, reference, goal, say
+        self.tried: list[tuple[Point, Configuration]] = []
+        self.best: tuple[Point, Configuration] | None = None
+        self.given_up: dict[str, str] = {}
+
+    @property
+    def points(self) -> list[Point]:
+        return [point for point, _ in self.tried]
+
+    def attempt(self, configuration: Configuration) -> Point:
+        """Measure, remember, and keep it when it is the cheapest that meets the goal."""
+        point = measure(self.scene, configuration, self.reference)
+        self.tried.append((point, configuration))
+        self.say(
+            f"  {point.label}, dt = {point.dt:.3g}: error {point.error:.1e}, {point.seconds:.3g} s"
+            + (" (meets it)" if point.error <= self.goal else "")
+        )
+        if point.error <= self.goal and (self.best is None or point.seconds < self.best[0].seconds):
+            self.best = point, configuration
+        return point
+
+    def try_method(self, label: str, method: methods.Method, dt: float) -> None:
+        """The largest step that meets the goal: doubled while it does, else halved while it can still pay."""
+        if isinstance(method, methods.CentralDifference):
+            dt = method.critical_step(self.scene)
+            expected = self._seconds_per_step(explicit=True) * float(self.reference.times[-1]) / dt
+            if self.best is not None and expected > self.best[0].seconds:
+                self.given_up[label] = (
+                    f"its critical step, {dt:.2g}, asks for {float(self.reference.times[-1]) / dt:.0f} steps"
+                )
+                return
+        point = self.attempt(Configuration("method", label, method, dt))
+        if point.error <= self.goal:
+            while not isinstance(method, methods.CentralDifference):
+                dt *= 2.0
+                if self.attempt(Configuration("method", label, method, dt)).error > self.goal:
+                    return
+            return
+        last = point.error
+        for _ in range(_FINEST):
+            dt *= 0.5
+            if self.best is not None and 1.5 * point.seconds > self.best[0].seconds:
+                self.given_up[label] = (
+                    f"at dt = {2 * dt:.3g} its error is {point.error:.1e} and it is no cheaper"
+                )
+                return
+            point = self.attempt(Configuration("method", label, method, dt))
+            if point.error <= self.goal:
+                return
+            stuck = np.isfinite(point.error) and point.error > 0.9 * last and point.error > 3 * self.goal
+            if stuck and last < 0.1:
+                self.given_up[label] = (
+                    f"its error does not fall below {point.error:.1e}: it models something else"
+                )
+                return
+            last = point.error
+        self.given_up[label] = f"at dt = {dt:.3g} its error is still {point.error:.1e}"
+
+    def _seconds_per_step(self, explicit: bool) -> float:
+        """A first guess from implicit trials: an explicit step costs about a tenth."""
+        rates = [p.seconds / p.steps for p in self.points if p.steps]
+        return (min(rates) if rates else 0.0) * (0.1 if explicit else 1.0)
+
+    def method_reasons(self) -> list[str]:
+        """Why this method and step, and what rotary inertia does."""
+        assert self.best is not None
+        point, best = self.best
+        reasons = [
+            f"{point.label} at dt = {point.dt:.3g} has an error of {point.error:.1e} and takes {point.seconds:.3g} s"
+        ]
+        larger = [p for p in self.points if p.label == point.label and p.dt > 1.01 * point.dt]
+        if larger:
+            nearest = min(larger, key=lambda p: p.dt)
+            reasons.append(f"dt = {nearest.dt:.3g} would miss: error {nearest.error:.1e}")
+        for label in dict.fromkeys(p.label for p in self.points):
+            meeting = [p for p in self.points if p.label == label and p.error <= self.goal]
+            if label != point.label and meeting:
+                cheapest = min(meeting, key=lambda p: p.seconds)
+                times = cheapest.seconds / point.seconds
+                reasons.append(f"{label} meets it at dt = {cheapest.dt:.3g} in {times:.1f} times the time")
+        reasons += [f"{label}: {why}" for label, why in self.given_up.items()]
+        if isinstance(best.method, methods.GeneralizedEnergyMomentum):
+            change = inertia_change(self.scene, best, self.reference)
+            left_out = best.method.inertia == "none"
+            verdict = (
+                "left out" if left_out else ("could be left out" if change <= 0.1 * self.goal else "kept")
+            )
+            reasons.append(f"rotary inertia changes the answer by {change:.1e}: {verdict}")
+        return reasons
+
+    def refine_newton(self) -> list[str]:
+        """Looser Newton tolerances while they pay and the answer stands, then kept factors."""
+        assert self.best is not None
+        if not self.best[1].method.uses_matrix:
+            return []
+        reasons = []
+        exact = self.best[0]
+        for tolerance in (1e-6, 1e-4, 1e-3):
+            before = self.best
+            tried = before[1]._replace(
+                newton=Newton(tolerance), label=f"{exact.label}, Newton to {tolerance:g}"
+            )
+            point = self.attempt(tried)
+            if self.best is before:
+                why = f"error {point.error:.1e}" if point.error > self.goal else "no cheaper"
+                reasons.append(f"Newton to {tolerance:g} instead of {_newton_of(before[1]):g}: {why}")
+                break
+            reasons.append(f"Newton to {tolerance:g} is enough: error {point.error:.1e}")
+        before = self.best
+        tried = before[1]._replace(
+            newton=Newton(_newton_of(before[1]), reuse=True), label=f"{before[0].label}, factors reused"
+        )
+        point = self.attempt(tried)
+        gain = before[0].seconds / point.seconds
+        kept = self.best is not before
+        reasons.append(
+            f"keeping factors over iterations and steps: {gain:.2f} times as fast{'' if kept else ', not used'}"
+        )
+        return reasons
+
+
+def inertia_change(scene: Scene, configuration: Configuration, reference: Reference) -> float:
+    """How much rotary inertia changes the answer: the same run with and without it."""
+    t_end = float(reference.times[-1])
+    runs: list[Solution] = [
+        timed(scene, configuration._replace(method=_with_inertia(configuration.method, form)), t_end)[0]
+        for form in ("seven_point", "none")
+    ]
+    if any(run.message for run in runs):
+        return np.inf
+    with_, without = runs
+    found = signals(scene, np.asarray(with_.displacements))
+    base = Reference(np.asarray(with_.frame_times), dict(found), 0.0, "")
+    if len(base.times) < 4:
+        return np.inf
+    return signal_error(base, base.times, signals(scene, np.asarray(without.displacements)))
+
+
+def _with_inertia(method, form: str):
+    return methods.GeneralizedEnergyMomentum(method.spectral_radius, method.dissipation, inertia=form)
+
+
+def _newton_of(configuration: Configuration) -> float:
+    return float(configuration.newton.tolerance)
+
+
+def describe(scene: Scene, advice: Advice) -> str:
+    """The advice in words, and as arguments of `simulate`."""
+    window = float(advice.reference.times[-1])
+    lines = [
+        f"{scene.name}: answers to {advice.tolerance:g}, tried over t ≤ {window:.4g}"
+        f" against {advice.reference.origin} (known to {advice.reference.uncertainty:.1e})",
+        *(f"  - {reason}" for reason in advice.reasons),
+    ]
+    if scene.defaults is not None and window < 0.999 * scene.defaults.t_end:
+        lines.append(f"  What happens after t = {window:.4g} was not tried.")
+    lines += [
+        "Use",
+        f"  js.simulate(scene, js.{method_text(advice.best.method)}, dt={advice.best.dt:.6g}, t_end=...{_newton_text(advice.best)})",
+    ]
+    return "\n".join(lines)
+
+
+def command_line(scene: str, advice: Advice) -> str:
+    """The advice as a command."""
+    method, newton = advice.best.method, advice.best.newton
+    parts = ["jaxshell run", scene, "--method", _file_name(method)]
+    if isinstance(method, methods.GeneralizedEnergyMomentum):
+        if float(method.spectral_radius) != 1.0:
+            parts.append(f"--spectral-radius {float(method.spectral_radius):g}")
+        if method.inertia != "seven_point":
+            parts.append(f"--inertia {method.inertia}")
+    parts.append(f"--dt {advice.best.dt:.6g}")
+    if float(newton.tolerance) != float(Newton().tolerance):
+        parts.append(f"--newton-tolerance {float(newton.tolerance):g}")
+    if newton.reuse:
+        parts.append("--newton-reuse")
+    return " ".join(parts)
+
+
+def run_section(scene: Scene, advice: Advice) -> str:
+    """The [run] table of a scene file."""
+    method = advice.best.method
+    t_end = scene.defaults.t_end if scene.defaults is not None else float(advice.reference.times[-1])
+    lines = ["[run]", f'method = "{_file_name(method)}"']
+    if isinstance(method, methods.GeneralizedEnergyMomentum):
+        lines += [
+            f"spectral_radius = {float(method.spectral_radius):g}",
+            f"dissipation = {float(method.dissipation):g}",
+            f'inertia = "{method.inertia}"',
+        ]
+    lines += [f"dt = {advice.best.dt:.6g}", f"t_end = {t_end:.6g}"]
+    newton = advice.best.newton
+    if float(newton.tolerance) != float(Newton().tolerance):
+        lines.append(f"newton_tolerance = {float(newton.tolerance):g}")
+    if newton.reuse != Newton().reuse:
+        lines.append(f"newton_reuse = {str(newton.reuse).lower()}")
+    return "\n".join(lines) + "\n"
+
+
+def _file_name(method: methods.Method) -> str:
+    named = {"GeneralizedEnergyMomentum": "EMC", "EnergyMomentum": "exact"}
+    return named.get(type(method).__name__, type(method).__name__)
+
+
+def method_text(method: methods.Method) -> str:
+    """The method as one writes it, with what differs from the defaults."""
+    default = type(method)()
+    parts = [
+        f"{name}={value!r}"
+        for name in type(method).__dataclass_fields__
+        if (value := getattr(method, name)) != getattr(default, name)
+    ]
+    return f"{type(method).__name__}({', '.join(parts)})"
+
+
+def _newton_text(configuration: Configuration) -> str:
+    newton, parts = configuration.newton, []
+    if float(newton.tolerance) != float(Newton().tolerance):
+        parts.append(f"tolerance={float(newton.tolerance):g}")
+    if newton.reuse != Newton().reuse:
+        parts.append(f"reuse={newton.reuse}")
+    return f", newton=js.Newton({', '.join(parts)})" if parts else ""

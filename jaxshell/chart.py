@@ -1,0 +1,285 @@
+"""Work against precision: a scene run by every choice a user has, error against time, and the best of them.
+
+`measure` runs one configuration and sets it against a reference; `configurations` lists the choices; `draw` makes
+the picture. `jaxshell chart SCENE` does all three, `jaxshell.advise` uses the first.
+"""
+
+import json
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxshell import methods
+from jaxshell.linear_solver import KLU, Dense, LinearSolver, default_solver
+from jaxshell.newton import Newton
+from jaxshell.references import Reference, agreement, extrapolate, run_error, shipped_reference, signals
+from jaxshell.scene import Scene
+from jaxshell.simulate import simulate
+from jaxshell.solution import Solution
+
+TRIAL_STEPS = 100
+"""Default steps that trials cover in scenes without a shipped reference."""
+_LONG_ENOUGH = 0.5
+"""A run of so many seconds is timed once, a shorter one three times."""
+_DENSE_UNKNOWNS = 500
+"""Dense factorization is not worth trying above."""
+
+
+class Configuration(NamedTuple):
+    """One way to run a scene."""
+
+    kind: str
+    """What is varied: "method", "tangent", "inertia", "newton", "linear solver", "explicit"."""
+    label: str
+    method: methods.Method
+    dt: float
+    newton: Newton = Newton()
+    tangent: str = "closed_form"
+    linear_solver: LinearSolver | None = None
+
+
+class Point(NamedTuple):
+    """A configuration's place in the picture."""
+
+    kind: str
+    label: str
+    dt: float
+    seconds: float
+    error: float
+    steps: int
+    iterations: int
+
+
+def measure(scene: Scene, tried: Configuration, reference: Reference, t_end: float | None = None) -> Point:
+    """Run `scene` over the reference's window: warm time [s] and error. A failed run's error is infinite."""
+    run, seconds = timed(scene, tried, float(reference.times[-1]) if t_end is None else t_end)
+    error = np.inf if run.message else run_error(reference, run)
+    return Point(
+        tried.kind,
+        tried.label,
+        tried.dt,
+        seconds,
+        error,
+        int(run.stats["steps"]),
+        int(run.stats["iterations"]),
+    )
+
+
+def timed(scene: Scene, tried: Configuration, t_end: float) -> tuple[Solution, float]:
+    """A run and its time without compilation: the first chunk is run beforehand, short runs three times."""
+
+    def go(until: float) -> tuple[Solution, float]:
+        begun = time.perf_counter()
+        solution = simulate(
+            scene,
+            tried.method,
+            dt=tried.dt,
+            t_end=until,
+            newton=tried.newton,
+            tangent=tried.tangent,
+            linear_solver=tried.linear_solver,
+            throw=False,
+        )
+        return solution, time.perf_counter() - begun
+
+    # As many steps as a chunk has compile the program that a longer run uses.
+    go(min(t_end, 50 * tried.dt))
+    solution, seconds = go(t_end)
+    if seconds < _LONG_ENOUGH:
+        seconds = sorted([seconds, go(t_end)[1], go(t_end)[1]])[1]
+    return solution, seconds
+
+
+def make_reference(
+    scene: Scene, dt: float, t_end: float, target: float, say: Callable = print, halvings: int = 6
+) -> Reference:
+    """A reference of any scene: `EnergyMomentum`, the step halved until Richardson's extrapolation is known to
+    `target`, or `halvings` times. The uncertainty reached stands in the result."""
+    steps = max(8, round(t_end / dt))
+    dt = t_end / steps
+    runs: list[dict] = []
+    found = None
+    for level in range(halvings + 1):
+        # Every step is a frame, so that all levels are one compiled program.
+        solution = simulate(
+            scene, methods.EnergyMomentum(), dt=dt / 2**level, t_end=t_end, newton=Newton(1e-10), throw=False
+        )
+        if solution.message:
+            runs.clear()  # too coarse a step; the next is finer
+            continue
+        times = np.asarray(solution.frame_times)[:: 2**level]
+        runs.append(dict(signals(scene, np.asarray(solution.displacements)[:: 2**level])))
+        if len(runs) < 2:
+            continue
+        second = extrapolate(*runs[-2:])
+        # One extrapolation is known to about its distance from the run; two, to their distance from each other.
+        before = runs[-1] if len(runs) < 3 else extrapolate(*runs[-3:-1])
+        uncertainty = float(agreement(times, before, second)[-1]) / (1 if len(runs) < 3 else 15)
+        found = Reference(
+            times, second, uncertainty, f"EnergyMomentum to dt = {dt / 2**level:.3g}, extrapolated"
+        )
+        say(f"  reference: dt = {dt / 2**level:.3g}, known to {uncertainty:.1e}")
+        if uncertainty <= target:
+            break
+    if found is None:
+        raise ValueError("The scene does not run at any step tried: give a smaller dt.")
+    return found
+
+
+def reference_of(scene: Scene, dt: float, t_end: float, target: float, say: Callable = print) -> Reference:
+    """The shipped reference up to t_end where there is one, or one made here."""
+    shipped = shipped_reference(scene)
+    if shipped is None:
+        return make_reference(scene, dt, t_end, target, say)
+    within = shipped.times <= t_end * (1 + 1e-9)
+    return shipped._replace(
+        times=shipped.times[within], signals={name: v[within] for name, v in shipped.signals.items()}
+    )
+
+
+def default_window(scene: Scene, dt: float, t_end: float | None) -> float:
+    """The time that trials cover: as asked, else a shipped reference's whole window, else `TRIAL_STEPS` of dt."""
+    if t_end is not None:
+        return t_end
+    return TRIAL_STEPS * dt if shipped_reference(scene) is None else np.inf
+
+
+def configurations(scene: Scene, dt: float) -> list[Configuration]:
+    """Every choice: methods over steps, and at the step dt tangents, inertia, Newton variants, linear solvers."""
+    gem = methods.GeneralizedEnergyMomentum
+    found = []
+    for label, method in (
+        ("EMC", gem()),
+        ("EDMC, ρ∞ 0.8", gem(0.8)),
+        ("exact", methods.EnergyMomentum()),
+        ("Newmark", methods.Newmark()),
+        ("HHT", methods.HHT()),
+        ("generalised α, ρ∞ 0.8", methods.GeneralizedAlpha()),
+        ("Bathe", methods.Bathe()),
+    ):
+        found += [Configuration("method", label, method, dt * 2.0**k) for k in (2, 1, 0, -1, -2)]
+    explicit = methods.CentralDifference()
+    critical = explicit.critical_step(scene)
+    found += [Configuration("method", "central differences", explicit, critical / 2**k) for k in (0, 1)]
+    for inertia in ("traditional", "none"):
+        found.append(Configuration("inertia", f"{inertia} inertia", gem(inertia=inertia), dt))
+    found.append(Configuration("tangent", "tangent by autodiff", gem(), dt, tangent="autodiff"))
+    for tolerance in (1e-3, 1e-5, 1e-11):
+        found.append(Configuration("newton", f"Newton to {tolerance:g}", gem(), dt, Newton(tolerance)))
+    found.append(Configuration("newton", "factors reused", gem(), dt, Newton(reuse=True)))
+    solvers: list[LinearSolver] = [KLU()] if type(default_solver()) is not KLU else []
+    if 6 * scene.mesh.n_nodes - len(scene.held_dofs) <= _DENSE_UNKNOWNS:
+        solvers.append(Dense())
+    for solver in solvers:
+        found.append(Configuration("linear solver", type(solver).__name__, gem(), dt, linear_solver=solver))
+    return found
+
+
+def chart(
+    scene: Scene,
+    dt: float,
+    t_end: float,
+    tried: Sequence[Configuration] | None = None,
+    say: Callable = print,
+    reference: Reference | None = None,
+) -> tuple[list[Point], Reference]:
+    """Measure `tried` (default: `configurations`) one after the other."""
+    reference = reference_of(scene, dt, t_end, 1e-4, say) if reference is None else reference
+    points = []
+    for configuration in configurations(scene, dt) if tried is None else tried:
+        try:
+            points.append(measure(scene, configuration, reference))
+        except (ImportError, ValueError) as error:
+            say(f"  {configuration.label}, dt = {configuration.dt:.3g}: {error}")
+            continue
+        point = points[-1]
+        say(
+            f"  {point.label:24} dt = {point.dt:<9.3g} error {point.error:.1e}  {point.seconds:8.3f} s"
+            f"  {point.iterations / max(1, point.steps):.2f} iterations a step"
+        )
+    return points, reference
+
+
+def write_points(path: Path, scene: Scene, points: Sequence[Point], reference: Reference) -> None:
+    """The measured points as JSON, with what they were measured against."""
+    content = {
+        "scene": scene.name,
+        "elements": scene.mesh.n_elements,
+        "window": float(reference.times[-1]),
+        "reference": reference.origin,
+        "uncertainty": reference.uncertainty,
+        "points": [p._asdict() | {"error": p.error if np.isfinite(p.error) else None} for p in points],
+    }
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def pareto(points: Iterable[Point]) -> list[Point]:
+    """Those that no other beats in both error and time, by time."""
+    front: list[Point] = []
+    for point in sorted(points, key=lambda p: (p.seconds, p.error)):
+        if np.isfinite(point.error) and (not front or point.error < front[-1].error):
+            front.append(point)
+    return front
+
+
+def draw(title: str, points: Sequence[Point], peers: Sequence[Point] = (), floor: float = 0.0):
+    """Figure: left, methods over step sizes, and peers; right, the other choices at one step. Front in grey."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    from jaxshell.plotting.style import COLOURS, DASHES, STYLE, WIDTH
+
+    markers = "os^DvPX<>*hd"
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
+        left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+        front = pareto(points)
+        for axes in (left, right):
+            axes.plot(
+                [p.seconds for p in front], [p.error for p in front], color="0.8", linewidth=6, zorder=0,
+                solid_capstyle="round", label="best of all (Pareto front)",
+            )  # fmt: skip
+            if floor:
+                axes.axhline(
+                    floor, color="0.5", linewidth=0.8, linestyle=":", label="reference's uncertainty"
+                )
+            axes.set(xscale="log", yscale="log", xlabel="Time of the run in s")
+        methods_ = list(dict.fromkeys(p.label for p in points if p.kind == "method"))
+        for k, label in enumerate(methods_):
+            _line(
+                left,
+                [p for p in points if p.label == label],
+                COLOURS[k % 7],
+                DASHES[k % 7],
+                markers[k],
+                label,
+            )
+        for k, label in enumerate(dict.fromkeys(p.label for p in peers)):
+            own = [p for p in peers if p.label == label]
+            _line(left, own, "black", DASHES[k % 7], markers[-1 - k], label, hollow=True)
+        base = [p for p in points if p.kind == "method" and p.label == methods_[0]] if methods_ else []
+        _line(right, base, COLOURS[0], "-", markers[0], methods_[0] if methods_ else "")
+        others = [p for p in points if p.kind != "method"]
+        for k, point in enumerate(others):
+            _line(right, [point], COLOURS[(k + 1) % 7], "", markers[(k + 1) % len(markers)], point.label)
+        left.set_ylabel("Largest error of the answer")
+        left.set_title("Methods, over the time step")
+        right.set_title(f"Other choices, {methods_[0]}" if methods_ else "Other choices")
+        for axes in (left, right):
+            axes.legend(
+                loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, fontsize=7.5, handlelength=2.6,
+                columnspacing=1.0,
+            )  # fmt: skip
+        figure.suptitle(title)
+    return figure
+
+
+def _line(axes, points: Sequence[Point], colour, dashes, marker, label, hollow: bool = False) -> None:
+    shown = sorted((p for p in points if np.isfinite(p.error) and p.error > 0), key=lambda p: p.dt)
+    axes.plot(
+        [p.seconds for p in shown], [p.error for p in shown], color=colour, linestyle=dashes or "none",
+        marker=marker, markersize=5, markerfacecolor="white" if hollow or not dashes else colour, label=label,
+    )  # fmt: skip
