@@ -1,0 +1,55 @@
+"""From the shell: how long `jaxshell run cap` takes without and with a compilation cache.
+
+`python benchmarks/cold_start.py` writes benchmarks/results/cold_start.json. Cold: the cache's folder is empty.
+Warm: the same command again, medians of several. The command keeps its cache under the user's cache folder; here
+XDG_CACHE_HOME and JAX_COMPILATION_CACHE_DIR point both into a folder that is thrown away.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+from benchmarks.workers import HERE, machine, median
+
+
+def main(arguments=None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("command", nargs="*", default=["run", "cap", "--quiet"])
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--output", type=Path, default=HERE / "results" / "cold_start.json")
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {
+            **os.environ,
+            "PYTHONPATH": str(HERE.parent),
+            "XDG_CACHE_HOME": f"{folder}/cache",
+            "JAX_COMPILATION_CACHE_DIR": f"{folder}/cache/jax",
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        }
+
+        def once() -> float:
+            begun = time.perf_counter()
+            subprocess.run(
+                [sys.executable, "-m", "jaxshell", *options.command], cwd=folder, env=environment, check=True
+            )
+            return round(time.perf_counter() - begun, 2)
+
+        cold = once()
+        warm = [once() for _ in range(options.rounds)]
+    found = {"machine": machine(), "command": "jaxshell " + " ".join(options.command), "cold_seconds": cold}
+    found |= {"warm_seconds": median(warm), "warm_rounds": warm}
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    options.output.write_text(json.dumps(found, indent=1) + "\n")
+    print(f"cold {cold} s, warm {median(warm)} s")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,121 @@
+"""Write the tables of docs/performance.md from benchmarks/results/*.json, between the page's markers.
+
+A marker is `<!-- NAME -->` ... `<!-- end NAME -->`; whatever stands between is replaced. A result that is not there
+leaves its table as it is.
+"""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+PAGE = HERE.parent / "docs" / "performance.md"
+
+
+def machine_line(found: dict) -> str:
+    m = found["machine"]
+    versions = ", ".join(f"{name} {v}" for name, v in m["versions"].items() if name in ("jax", "mkl"))
+    load = m["load"][0]
+    return f"{m['processor']}, {m['cores']} cores, load {load} at the start; {versions}; {m['commit']}, {m['date']}."
+
+
+def speed(found: dict) -> str:
+    lines = [
+        "| scene | cores | program | ms/step | iterations/step | ms/iteration | times EMC's | memory MB |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for key, programs in found["results"].items():
+        scene, cores = key.split(", ")
+        ours = programs["jaxshell EMC"]["ms_per_step"]
+        for name, f in programs.items():
+            lines.append(
+                f"| {scene} | {cores.split()[0]} | {name} | {f['ms_per_step']:.2f} "
+                f"| {f['iterations_per_step']:.2f} | {f['ms_per_iteration']:.2f} "
+                f"| {f['ms_per_step'] / ours:.1f} | {f['peak_rss_mb']} |"
+            )
+    return "\n".join([machine_line(found), "", *lines])
+
+
+def scaling(found: dict) -> str:
+    lines = [
+        "| cores | unknowns | ms/step | ms/iteration | µs/element and iteration | first call s | memory MB |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for e in found["results"]:
+        lines.append(
+            f"| {e['threads']} | {e['unknowns']} | {e['ms_per_step']:.1f} | {e['ms_per_iteration']:.1f} "
+            f"| {e['us_per_element_and_iteration']:.1f} | {e['first_call_seconds']} | {e['peak_rss_mb']} |"
+        )
+    for key, value in found.items():
+        if key.startswith("exponent"):
+            lines += ["", f"Cost grows as n^{value} ({key.split('_')[1]} core{'s' * (key.split('_')[1] != '1')})."]
+    return "\n".join([machine_line(found), "", *lines])
+
+
+def cold_start(found: dict) -> str:
+    return (
+        f"{machine_line(found)}\n\n`{found['command']}`: {found['cold_seconds']} s with an empty compilation "
+        f"cache, {found['warm_seconds']} s with a full one."
+    )
+
+
+def to_one_percent(results: Path) -> str:
+    """The least time to 1 % of each scene's answer, of each method and peer."""
+    lines = ["| scene | program | dt | error | seconds | times the best |", "|---|---|---|---|---|---|"]
+    for name in ("cap", "plate", "opened_cap"):
+        file = results / f"work_precision_{name}.json"
+        if not file.is_file():
+            continue
+        found = json.loads(file.read_text())
+        points = [p for p in found["points"] + found["peers"] if "seconds" in p and p["error"] is not None]
+        cheapest = {}
+        for p in points:
+            if p["error"] <= 1e-2 and p["seconds"] < cheapest.get(p["label"], p)["seconds"] + 1e-12:
+                cheapest[p["label"]] = p
+        if not cheapest:
+            continue
+        best = min(p["seconds"] for p in cheapest.values())
+        for label, p in sorted(cheapest.items(), key=lambda item: item[1]["seconds"]):
+            lines.append(
+                f"| {name} | {label} | {p['dt']:.3g} | {p['error']:.1e} | {p['seconds']:.3g} "
+                f"| {p['seconds'] / best:.1f} |"
+            )
+    return "\n".join(lines)
+
+
+def references(found: dict) -> str:
+    lines = ["| scene | window s | finest dt s | known to | first halving changes |", "|---|---|---|---|---|"]
+    for name, entry in found.items():
+        last = entry["halvings"][-1]
+        lines.append(
+            f"| {name} | {last.get('known_until', 0):.4g} of {entry['window']:.4g} | {last['dt']:.3g} "
+            f"| {last.get('uncertainty', float('nan')):.1e} | {entry['halvings'][1]['halving_changes']:.1e} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> int:
+    results = HERE / "results"
+    tables = {}
+    for name, make in (
+        ("speed", speed), ("scaling", scaling), ("cold_start", cold_start), ("references", references)
+    ):  # fmt: skip
+        file = results / f"{name}.json"
+        if file.is_file():
+            tables[name] = make(json.loads(file.read_text()))
+    if any(results.glob("work_precision_*.json")):
+        tables["to_one_percent"] = to_one_percent(results)
+    page = PAGE.read_text(encoding="utf-8")
+    for name, table in tables.items():
+        block = re.compile(f"(<!-- {name} -->\n).*?(<!-- end {name} -->)", re.DOTALL)
+        if not block.search(page):
+            raise ValueError(f"{PAGE.name} has no place for the table {name!r}.")
+        page = block.sub(lambda m, table=table: f"{m[1]}{table}\n{m[2]}", page)
+    PAGE.write_text(page, encoding="utf-8")
+    print(f"{PAGE.name}: {', '.join(tables)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

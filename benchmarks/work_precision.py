@@ -1,0 +1,118 @@
+"""Error against time for every choice, peers beside them: `python benchmarks/work_precision.py --peers PYTHON`.
+
+jaxshell's points are those of `jaxshell chart`, in a process pinned to one core. Peers have elements and inertia
+of their own, so their error is taken against their own answer, refined in time and extrapolated (the lower curve
+that they could reach), and their distance from jaxshell's converged answer is recorded as "model". A third
+panel's figures, error against the number of elements, come with --meshes: each mesh at a step that its halving
+shows to be fine, against the finest. Writes benchmarks/results/work_precision_SCENE.json, and the pictures to
+docs/pictures.
+"""
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT))
+# One core, before anything starts threads.
+os.environ |= {"MKL_NUM_THREADS": "1", "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"}
+os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-1:])
+
+import jax
+import numpy as np
+
+jax.config.update("jax_enable_x64", True)
+
+from benchmarks.cases import SCENES, write_case
+from benchmarks.workers import HERE, Worker, machine
+from jaxshell import references
+from jaxshell.chart import Point, chart, draw, reference_of, write_points
+from jaxshell.references import Reference, agreement, extrapolate
+
+TITLES = {"cap": "Clamped cap", "opened_cap": "Top-opened cap", "plate": "Free plate", "tiny": "Tiny cap"}
+# Steps of the peers over the scene's, coarse to fine; the last two make the peer's own reference. Kratos needs
+# a second a step on the opened cap: few there, and only before buckling.
+PEER_STEPS = {"cap": (4, 2, 1, 0.5, 0.25, 0.125), "opened_cap": (4, 2, 1), "plate": (4, 2, 1, 0.5), "tiny": (4, 2, 1)}
+PEER_WINDOW = {"opened_cap": 0.4, "plate": 0.02}
+
+
+def peer_points(scene, name: str, reference: Reference, python: str, window: float, folder: Path) -> list[dict]:
+    """Kratos' and OpenSees' points: error against their own limit, and the model's distance from ours."""
+    case = write_case(scene, folder / f"{name}.npz")
+    found = []
+    for program in ("kratos", "opensees"):
+        worker = Worker(program, 1, python)
+        runs = []
+        for factor in PEER_STEPS[name]:
+            dt = factor * scene.defaults.dt
+            steps = max(4, round(window / dt))
+            history = folder / f"{program}.npz"
+            answer = worker(
+                case=str(case), dt=dt, steps=steps, tolerance=1e-8, absolute=True, history=str(history)
+            )
+            with np.load(history) as stored:
+                times, displacements = stored["times"], stored["displacements"]
+            print(f"  {program} dt = {dt:.3g}: {answer['seconds']:.2f} s", flush=True)
+            runs.append((dt, answer, times, dict(references.signals(scene, displacements))))
+        worker.close()
+        # Richardson on the finer one's every second time, which is the coarser one's.
+        fine = {key: value[::2] for key, value in runs[-1][3].items()}
+        times, coarse = runs[-2][2], runs[-2][3]
+        limit = extrapolate(coarse, fine)
+        own = Reference(times, limit, float(agreement(times, fine, limit)[-1]), f"{program}, extrapolated")
+        for dt, answer, times, signals in runs:
+            within = times <= own.times[-1] * (1 + 1e-9)
+            cut = {key: value[within] for key, value in signals.items()}
+            error = references.signal_error(own, times[within], cut) if answer["converged"] else np.inf
+            point = Point("peer", program, dt, answer["seconds"], error, answer["steps"], answer["iterations"])
+            found.append(point._asdict())
+        common = own.times <= reference.times[-1] * (1 + 1e-9)
+        cut = {key: value[common] for key, value in own.signals.items()}
+        model = references.signal_error(reference, own.times[common], cut)
+        found.append({"label": f"{program} model", "error": model})
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", default=["cap", "plate", "opened_cap"])
+    parser.add_argument("--peers", help="Python of the environment that has the peers; left out: jaxshell only")
+    parser.add_argument("--window", type=float, help="time covered (default: the reference's)")
+    parser.add_argument("--results", type=Path, default=HERE / "results")
+    parser.add_argument("--pictures", type=Path, default=ROOT / "docs" / "pictures")
+    options = parser.parse_args()
+    for folder in (options.results, options.pictures):
+        folder.mkdir(parents=True, exist_ok=True)
+    for name in options.scenes:
+        scene = SCENES[name]()
+        dt = scene.defaults.dt
+        window = np.inf if options.window is None else options.window
+        print(name, flush=True)
+        reference = reference_of(scene, dt, window, 1e-4)
+        file = options.results / f"work_precision_{name}.json"
+        points, reference = chart(scene, dt, window, reference=reference)
+        write_points(file, scene, points, reference)
+        peers = []
+        if options.peers:
+            with tempfile.TemporaryDirectory() as folder:
+                span = min(PEER_WINDOW.get(name, np.inf), float(reference.times[-1]))
+                peers = peer_points(scene, name, reference, options.peers, span, Path(folder))
+                for point in peers:
+                    # Over the whole window, at the same cost a step.
+                    if "seconds" in point:
+                        point["seconds"] *= float(reference.times[-1]) / span
+        content = json.loads(file.read_text())
+        file.write_text(json.dumps(content | {"peers": peers, "machine": machine()}, indent=1) + "\n")
+        shown = [Point(**p) for p in peers if "seconds" in p]
+        title = f"{TITLES[name]}, {scene.mesh.n_elements} triangles, one core"
+        picture = options.pictures / f"work_precision_{name}.png"
+        draw(title, points, shown, reference.uncertainty).savefig(picture, bbox_inches="tight")
+        print(f"{file}\n{picture}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
