@@ -176,12 +176,13 @@ class ImplicitMethod(Method):
         fixed = jax.lax.stop_gradient((self, model, state, dt))
         solved = keep(one_by_one(_converge, *fixed, solvers, memory))
         begun, held, problem = _problem(self, model, state, dt, solvers)
+        matrices = self.matrices(model, state, begun, model.expand(solved.free, held), solvers.tangent)
         free = attach_derivative(
             solvers.linear.solver,
             solvers.linear.handle,
             solved.free,
             model.free(problem.balance(solved.free).residual),
-            jax.lax.stop_gradient(problem.matrix(solved.free, solved.free)),
+            jax.lax.stop_gradient(model.assemble_matrix(matrices)),
         )
         u = model.expand(free, held)
         info = StepInfo(solved.result, solved.iterations, solved.factorizations, solved.correction)
