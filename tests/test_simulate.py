@@ -1,0 +1,162 @@
+"""`simulate`: steps and frames, restart, result files, failure, and several ways to the same run."""
+
+import numpy as np
+import pytest
+
+import jaxshell as js
+from jaxshell.cli import main
+
+DT, STEPS = 1e-5, 100
+EMC = js.GeneralizedEnergyMomentum()
+
+
+def cap(force=111.2, late=1.0) -> js.Scene:
+    """A coarse clamped cap under `force` at its apex, multiplied by `late` from 1.1e-4 s on."""
+    scene = js.scenes.spherical_cap(divisions=3)
+    load = js.NodalForce([0], [0.0, 0.0, -force], js.History([0.0, 1e-4, 1.1e-4], [1.0, 1.0, late]))
+    watch = {"apex": (0, "uz"), "apex velocity": (0, "vz")}
+    return js.Scene(scene.mesh, scene.section, scene.supports, [load], watch=watch, name="coarse")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return cap()
+
+
+@pytest.fixture(scope="module")
+def whole(scene):
+    """A hundred steps, a frame of every second."""
+    return js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2)
+
+
+def close(found, expected, tolerance=1e-9):
+    scale = np.abs(np.asarray(expected)).max()
+    np.testing.assert_allclose(found, expected, atol=tolerance * scale, rtol=0)
+
+
+def test_histories_at_every_step_and_frames_at_every_second(whole, scene):
+    np.testing.assert_allclose(whole.times, DT * np.arange(STEPS + 1), rtol=1e-14)
+    np.testing.assert_allclose(whole.frame_times, whole.times[::2], rtol=1e-14)
+    n = scene.mesh.n_nodes
+    assert whole.displacements.shape == whole.velocities.shape == (STEPS // 2 + 1, n, 3)
+    assert whole.rotations.shape == (STEPS // 2 + 1, n, 3, 3)
+    np.testing.assert_array_equal(whole.displacements[:, 0, 2], whole.watched["apex"][::2])
+    np.testing.assert_array_equal(whole.velocities[:, 0, 2], whole.watched["apex velocity"][::2])
+    R = np.asarray(whole.rotations)
+    np.testing.assert_allclose(R @ np.swapaxes(R, 2, 3), np.broadcast_to(np.eye(3), R.shape), atol=1e-14)
+    assert whole.iterations[0] == 0 and np.all(np.asarray(whole.iterations)[1:] >= 1)
+    assert whole.result == js.RESULTS.successful and whole.message == ""
+    assert whole.stats["steps"] == STEPS and whole.stats["iterations"] == int(whole.iterations.sum())
+    assert np.abs(np.asarray(whole.displacements)).max() > 1e-4  # a quarter of the thickness
+
+
+def test_frames_apart_leave_the_histories_as_they_are(whole, scene):
+    """Also where the steps are no multiple of those between frames: the last frame is the end."""
+    sparse = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=7)
+    np.testing.assert_allclose(sparse.frame_times, DT * np.array([*range(0, STEPS, 7), STEPS]), rtol=1e-14)
+    close(sparse.watched["apex"], whole.watched["apex"])
+    close(sparse.displacements[-1], whole.displacements[-1])
+
+
+def test_an_array_of_steps(whole, scene):
+    steps = js.simulate(scene, EMC, dt=np.full(STEPS, DT), save_every=2)
+    np.testing.assert_array_equal(steps.watched["apex"], whole.watched["apex"])
+    uneven = js.simulate(scene, EMC, dt=np.tile([0.5 * DT, 1.5 * DT], STEPS // 2), save_every=2)
+    np.testing.assert_allclose(uneven.frame_times, whole.frame_times, rtol=1e-13)
+    early = slice(0, 20, 2)
+    close(uneven.watched["apex"][early], whole.watched["apex"][early], 0.05)
+    assert float(uneven.watched["apex"][20]) != float(whole.watched["apex"][20])
+
+
+def test_a_duration_that_is_no_multiple_of_the_step_ends_with_a_shorter_one(scene):
+    solution = js.simulate(scene, EMC, dt=DT, t_end=79.25 * DT, save_every=2)
+    np.testing.assert_allclose(np.diff(solution.times), DT * np.array([1.0] * 79 + [0.25]), rtol=1e-9)
+
+
+def test_restart_goes_on_as_if_nothing_had_happened(whole, scene):
+    half = STEPS // 2
+    first = js.simulate(scene, EMC, dt=DT, t_end=half * DT, save_every=2)
+    second = js.simulate(scene, EMC, dt=DT, t_end=half * DT, save_every=2, restart=first)
+    np.testing.assert_allclose(second.times, whole.times[half:], rtol=1e-13)
+    close(second.watched["apex"], whole.watched["apex"][half:], 1e-10)
+    close(second.energy.total, whole.energy.total[half:], 1e-10)
+    close(second.energy.external_work, whole.energy.external_work[half:], 1e-10)
+    close(second.displacements[-1], whole.displacements[-1], 1e-10)
+
+
+def test_autodiff_and_closed_form_give_the_same_run(whole, scene):
+    autodiff = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, tangent="autodiff")
+    np.testing.assert_array_equal(autodiff.iterations, whole.iterations)
+    close(autodiff.displacements, whole.displacements, 1e-10)
+    close(autodiff.energy.total, whole.energy.total, 1e-10)
+
+
+@pytest.mark.parametrize("solver", [js.Dense(), js.KLU()], ids=["dense", "klu"])
+def test_linear_solvers_give_the_same_run(solver, whole, scene):
+    solution = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, linear_solver=solver)
+    close(solution.displacements, whole.displacements)
+
+
+def test_the_papers_criterion(whole, scene):
+    """‖ΔQ‖ ≤ 1e-6, eq. (100): the same run within what that leaves, one iteration a step more or so."""
+    paper = js.Newton(tolerance=1e-6, criterion="norm")
+    solution = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, newton=paper)
+    close(solution.watched["apex"], whole.watched["apex"], 1e-5)
+    assert int(solution.iterations.sum()) >= int(whole.iterations.sum())
+
+
+def test_a_kept_factorization_gives_the_same_run(whole, scene):
+    solution = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, newton=js.Newton(reuse=True))
+    close(solution.displacements, whole.displacements, 1e-5)
+    assert solution.stats["factorizations"] < whole.stats["factorizations"]
+
+
+def test_results_go_to_disk_as_they_come(whole, scene, tmp_path):
+    path = tmp_path / "cap.h5"
+    returned = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, output=path)
+    loaded = js.Solution.load(path)
+    for name in ("times", "iterations", "frame_times", "displacements", "rotations", "velocities"):
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(returned, name), err_msg=name)
+    np.testing.assert_array_equal(loaded.watched["apex"], whole.watched["apex"])
+    np.testing.assert_array_equal(loaded.energy.total, whole.energy.total)
+    assert loaded.result == js.RESULTS.successful and loaded.scene.name == scene.name
+    # Files do not keep a method's state.
+    with pytest.raises(ValueError, match=r"restart must be a solution .* with its final state"):
+        js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, restart=loaded)
+
+
+# --- failure ----------------------------------------------------------------------------------------------
+
+
+def test_failure_keeps_every_finished_step(whole, tmp_path):
+    """A load that becomes absurd after ten steps."""
+    path = tmp_path / "wild.h5"
+    with pytest.raises(js.SimulationError) as caught:
+        js.simulate(cap(late=1e7), EMC, dt=DT, t_end=STEPS * DT, save_every=2, output=path)
+    solution = caught.value.solution
+    assert solution.result != js.RESULTS.successful
+    assert len(solution.times) == 11 and float(solution.times[-1]) == pytest.approx(1e-4)
+    assert len(solution.frame_times) == 6
+    close(solution.watched["apex"], whole.watched["apex"][:11])
+    assert np.all(np.isfinite(solution.displacements))
+    message = str(caught.value)
+    assert message == solution.message
+    assert message.startswith("Step 11, from t = 0.0001 with dt = 1e-05: ")
+    assert "Reduce the time step" in message
+    # The file holds the same, and says the same.
+    loaded = js.Solution.load(path)
+    assert loaded.message == message and loaded.result == solution.result
+    np.testing.assert_array_equal(loaded.times, solution.times)
+
+
+def test_a_far_too_large_step_fails_at_once_and_the_command_says_so(tmp_path, capsys):
+    """A hundred times the paper's step at ten thousand times its load: exit status 1, and a file."""
+    scene, dt, t_end = cap(force=1.112e6), 2e-4, 2e-4 * STEPS
+    solution = js.simulate(scene, EMC, dt=dt, t_end=t_end, save_every=2, throw=False)
+    assert solution.result != js.RESULTS.successful
+    assert solution.message.startswith("Step 1, from t = 0 with dt = 0.0002: ")
+    assert len(solution.times) == 1 and np.all(np.asarray(solution.displacements) == 0)
+    solution.save(tmp_path / "wild.h5")
+    command = ["run", str(tmp_path / "wild.h5"), "--output", str(tmp_path), "--method", "EMC", "--no-plots"]
+    assert main([*command, "--dt", str(dt), "--t-end", str(t_end), "--save-every", "2"]) == 1
+    assert solution.message in capsys.readouterr().err
