@@ -22,8 +22,8 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
-from benchmarks.cases import SCENES, write_case
-from benchmarks.workers import HERE, Worker, machine, median
+from benchmarks.cases import SCENES, write_case  # noqa: E402
+from benchmarks.workers import HERE, Worker, machine, median  # noqa: E402
 
 STEPS = {"cap": 50, "plate": 50, "opened_cap": 20, "tiny": 4}
 TOLERANCE = 1e-8

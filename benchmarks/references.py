@@ -2,9 +2,10 @@
 
 Two axes, apart. In time, on the scene's default mesh: `EnergyMomentum` with the step halved until Richardson's
 extrapolations (of second order, and the fourth order on top of it) agree to TOLERANCE over the window; where they
-cease to agree the response is chaotic, or the step still too large, and the reference ends there. In space: the same figure of
-merit on refined meshes, each at the step that its own halving shows to be fine enough; the differences, and their
-Richardson limit, go into the JSON file beside the results, since they are the model's error and not a method's.
+cease to agree the response is chaotic, or the step still too large, and the reference ends there. In space:
+the same figure of merit on refined meshes, each at the step that its own halving shows to be fine enough;
+the differences, and their Richardson limit, go into the JSON file beside the results, since they are the
+model's error and not a method's.
 """
 
 import argparse
@@ -20,9 +21,9 @@ import numpy as np
 
 jax.config.update("jax_enable_x64", True)
 
-import jaxshell as js
-from jaxshell import references
-from jaxshell.references import Reference, agreement, extrapolate
+import jaxshell as js  # noqa: E402
+from jaxshell import references  # noqa: E402
+from jaxshell.references import Reference, agreement, extrapolate  # noqa: E402
 
 HERE = Path(__file__).parent
 DATA = Path(references.__file__).parent / "data"

@@ -21,16 +21,16 @@ sys.path.insert(0, str(ROOT))
 os.environ |= {"MKL_NUM_THREADS": "1", "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"}
 os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-1:])
 
-import jax
-import numpy as np
+import jax  # noqa: E402
+import numpy as np  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 
-from benchmarks.cases import SCENES, write_case
-from benchmarks.workers import HERE, Worker, machine
-from jaxshell import references
-from jaxshell.chart import Point, chart, draw, reference_of, write_points
-from jaxshell.references import Reference, agreement, extrapolate
+from benchmarks.cases import SCENES, write_case  # noqa: E402
+from benchmarks.workers import HERE, Worker, machine  # noqa: E402
+from jaxshell import references  # noqa: E402
+from jaxshell.chart import Point, chart, draw, reference_of, write_points  # noqa: E402
+from jaxshell.references import Reference, agreement, extrapolate  # noqa: E402
 
 TITLES = {"cap": "Clamped cap", "opened_cap": "Top-opened cap", "plate": "Free plate", "tiny": "Tiny cap"}
 # Steps of the peers over the scene's, coarse to fine; the last two make the peer's own reference. Kratos needs

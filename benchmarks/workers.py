@@ -31,7 +31,7 @@ class Worker:
             "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=" + ("true" if threads > 1 else "false"),
         }
         cores = sorted(os.sched_getaffinity(0))[-threads:]
-        self.log = tempfile.TemporaryFile("w+")
+        self.log = tempfile.TemporaryFile("w+")  # noqa: SIM115 (open as long as the worker)
         self.process = subprocess.Popen(
             ["taskset", "-c", ",".join(map(str, cores)), python, str(SCRIPTS[program])],
             stdin=subprocess.PIPE,

@@ -255,7 +255,8 @@ def describe(scene: Scene, advice: Advice) -> str:
         lines.append(f"  What happens after t = {window:.4g} was not tried.")
     lines += [
         "Use",
-        f"  js.simulate(scene, js.{method_text(advice.best.method)}, dt={advice.best.dt:.6g}, t_end=...{_newton_text(advice.best)})",
+        f"  js.simulate(scene, js.{method_text(advice.best.method)}, dt={advice.best.dt:.6g}, "
+        f"t_end=...{_newton_text(advice.best)})",
     ]
     return "\n".join(lines)
 

@@ -114,9 +114,9 @@ def make_reference(
         runs.append(dict(signals(scene, np.asarray(solution.displacements)[:: 2**level])))
         if len(runs) < 2:
             continue
-        second = extrapolate(*runs[-2:])
+        second = extrapolate(runs[-2], runs[-1])
         # One extrapolation is known to about its distance from the run; two, to their distance from each other.
-        before = runs[-1] if len(runs) < 3 else extrapolate(*runs[-3:-1])
+        before = runs[-1] if len(runs) < 3 else extrapolate(runs[-3], runs[-2])
         uncertainty = float(agreement(times, before, second)[-1]) / (1 if len(runs) < 3 else 15)
         found = Reference(
             times, second, uncertainty, f"EnergyMomentum to dt = {dt / 2**level:.3g}, extrapolated"

@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
+from jaxshell.loads import Pressure
 from jaxshell.scene import Scene
 from jaxshell.solution import Solution
 
@@ -136,7 +137,7 @@ def fingerprint(scene: Scene) -> Float[np.ndarray, "7"]:
     load = sum(
         np.abs(load.nodal(scene.mesh.nodes, triangles, rho * h)).sum() * np.abs(load.history.values).sum()
         for load in scene.loads
-        if not hasattr(load, "pressure")
+        if not isinstance(load, Pressure)
     )
     return np.array(
         [

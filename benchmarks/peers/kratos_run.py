@@ -80,7 +80,8 @@ def run(request: dict) -> dict:
     begun = time.perf_counter()
     KM.ParallelUtilities.SetNumThreads(request.get("threads", 1))
     case = np.load(request["case"])
-    model, part, strategy, loaded = build(
+    # The model owns the part: it must live as long.
+    _model, part, strategy, loaded = build(
         case,
         request.get("variant", "newmark"),
         request["tolerance"],
