@@ -67,8 +67,9 @@ def peer_points(scene, name: str, reference: Reference, python: str, window: flo
             within = times <= own.times[-1] * (1 + 1e-9)
             cut = {key: value[within] for key, value in signals.items()}
             error = references.signal_error(own, times[within], cut) if answer["converged"] else np.inf
-            point = Point("peer", program, dt, answer["seconds"], error, answer["steps"], answer["iterations"])
-            found.append(point._asdict())
+            label, effort = {"kratos": "Kratos", "opensees": "OpenSees"}[program], ("seconds", "steps", "iterations")
+            seconds, steps, iterations = (answer[name] for name in effort)
+            found.append(Point("peer", label, dt, seconds, error, steps, iterations)._asdict())
         common = own.times <= reference.times[-1] * (1 + 1e-9)
         cut = {key: value[common] for key, value in own.signals.items()}
         model = references.signal_error(reference, own.times[common], cut)

@@ -164,8 +164,8 @@ def configurations(scene: Scene, dt: float) -> list[Configuration]:
     explicit = methods.CentralDifference()
     critical = explicit.critical_step(scene)
     found += [Configuration("method", "central differences", explicit, critical / 2**k) for k in (0, 1)]
-    for inertia in ("traditional", "none"):
-        found.append(Configuration("inertia", f"{inertia} inertia", gem(inertia=inertia), dt))
+    for inertia, label in (("traditional", "traditional inertia"), ("none", "no rotary inertia")):
+        found.append(Configuration("inertia", label, gem(inertia=inertia), dt))
     found.append(Configuration("tangent", "tangent by autodiff", gem(), dt, tangent="autodiff"))
     for tolerance in (1e-3, 1e-5, 1e-11):
         found.append(Configuration("newton", f"Newton to {tolerance:g}", gem(), dt, Newton(tolerance)))
