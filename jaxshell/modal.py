@@ -26,7 +26,6 @@ from jaxshell.elements import corotational
 from jaxshell.elements.inertia import LINEAR_MASS
 from jaxshell.linear_solver import default_solver, linear_solve
 from jaxshell.mechanisms import check_supported, connected_parts
-from jaxshell.methods.start import initial_motion
 from jaxshell.methods.static import StaticState
 from jaxshell.model import Model, pressure_stiffness, structure_of
 from jaxshell.scene import Scene
@@ -76,11 +75,10 @@ def natural_frequencies(
     require_float64()
     tables, pattern = analyse(structure_of(scene))
     _check_count(count, pattern.size)
-    if about is None:
-        state, time = None, 0.0
-    else:
-        state, time = (about.displacements[-1], about.rotations[-1]), about.times[-1]
-        scene = proportional(scene) if isinstance(about.state, StaticState) else scene
+    state = _initial_state(scene) if about is None else (about.displacements[-1], about.rotations[-1])
+    time = jnp.zeros(()) if about is None else about.times[-1]
+    if about is not None and isinstance(about.state, StaticState):
+        scene = proportional(scene)
     K, M, shift = _vibration_matrices(scene, tables, state, time)
     spare = 0 if rigid_modes else 6 * connected_parts(scene.mesh.triangles, scene.mesh.n_nodes)[0]
 
@@ -130,6 +128,16 @@ def linear_buckling(scene: Scene, count: int = 5) -> BucklingModes:
     return BucklingModes(factors, shapes / jnp.max(jnp.abs(shapes[:, :, :3]), axis=(1, 2), keepdims=True))
 
 
+def _initial_state(scene: Scene):
+    """Displacements and rotations at the start."""
+    n = scene.mesh.n_nodes
+    still = jnp.zeros((n, 3)), jnp.broadcast_to(jnp.eye(3), (n, 3, 3))
+    if scene.initial is None:
+        return still
+    given = scene.initial.displacements, scene.initial.rotations
+    return tuple(default if value is None else value for value, default in zip(given, still, strict=True))
+
+
 # --- matrices ---------------------------------------------------------------------------------------------
 
 
@@ -137,10 +145,7 @@ def linear_buckling(scene: Scene, count: int = 5) -> BucklingModes:
 def _vibration_matrices(scene: Scene, tables: Tables, state, time):
     """Values of K and M over the free freedoms, and a scale of ω² below the bending frequencies."""
     model = Model.build(scene, tables)
-    x, R, _, _ = initial_motion(model, scene)
-    if state is not None:
-        x, R = model.x0 + state[0], state[1]
-    x, R = model.gather((x, R))
+    x, R = model.gather((model.x0 + state[0], state[1]))
     K = jax.vmap(corotational.tangent_stiffness)(x, R, model.elements)
     if model.pressures:
         K = K - jax.vmap(pressure_stiffness)(x, model.pressure(time))

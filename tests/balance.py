@@ -1,0 +1,30 @@
+"""Equilibrium of a static solution as a whole: applied and reaction forces, and their moments."""
+
+import jax.numpy as jnp
+import numpy as np
+
+import jaxshell as js
+from jaxshell.assembly import analyse
+from jaxshell.model import Model, structure_of
+from jaxshell.statics import proportional
+
+
+def imbalance(solution) -> float:
+    """Largest resultant force and moment of loads and reactions over all frames, relative to the sums of their sizes.
+
+    Moments about the middle of the shell; a moment counts as a force over the size of the shell and the reverse.
+    """
+    tables, _ = analyse(structure_of(solution.scene))
+    model = Model.build(proportional(solution.scene), tables)
+    x0, size = np.asarray(model.x0), float(model.size)
+    carried = np.asarray(js.reactions(solution))
+    worst = 0.0
+    for k, factor in enumerate(np.asarray(solution.frame_times)):
+        x = x0 + np.asarray(solution.displacements[k])
+        applied = np.asarray(model.dead_load(factor) + model.pressure_load(jnp.asarray(x), factor))
+        scale = sum(np.abs(f[:, :3]).sum() + np.abs(f[:, 3:]).sum() / size for f in (applied, carried[k]))
+        total = applied + carried[k]
+        moment = (np.cross(x - x0.mean(axis=0), total[:, :3]) + total[:, 3:]).sum(axis=0)
+        if scale > 0:
+            worst = max(worst, np.abs(total[:, :3].sum(axis=0)).max() / scale, np.abs(moment).max() / (scale * size))
+    return worst
