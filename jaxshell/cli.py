@@ -5,6 +5,7 @@ by the keyboard. JAX and matplotlib are imported when a command needs them, and 
 """
 
 import argparse
+import os
 import dataclasses
 import itertools
 import sys
@@ -114,7 +115,7 @@ class _Version(argparse.Action):
 
 
 def _run(options: argparse.Namespace) -> int:
-    _use_float64()
+    _prepare_jax()
     from jaxshell.method_names import choose_methods, method_label, parse_method
     from jaxshell.plotting import plot
     from jaxshell.report import describe_run, describe_scene
@@ -176,7 +177,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _plot(options: argparse.Namespace) -> int:
-    _use_float64()
+    _prepare_jax()
     from jaxshell.method_names import method_label, parse_method
     from jaxshell.plotting import plot
     from jaxshell.solution import Solution
@@ -202,7 +203,7 @@ def _plot(options: argparse.Namespace) -> int:
 
 
 def _chart(options: argparse.Namespace) -> int:
-    _use_float64()
+    _prepare_jax()
     from jaxshell.chart import chart, default_window, draw, write_points
 
     scene, settings, stem = _open_scene(options.scene)
@@ -218,7 +219,7 @@ def _chart(options: argparse.Namespace) -> int:
 
 
 def _advise(options: argparse.Namespace) -> int:
-    _use_float64()
+    _prepare_jax()
     from jaxshell.advise import advise, command_line, describe, run_section
 
     scene, settings, _ = _open_scene(options.scene)
@@ -246,10 +247,18 @@ def _scenes(options: argparse.Namespace) -> int:
 # --- parts -----------------------------------------------------------------------------------------------
 
 
-def _use_float64() -> None:
+def _prepare_jax() -> None:
+    """Switch double precision on, and keep compiled programs in the user's cache: the next start is quick.
+
+    JAX_COMPILATION_CACHE_DIR names another place; JAX_ENABLE_COMPILATION_CACHE=false keeps nothing.
+    """
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    if jax.config.jax_compilation_cache_dir is None:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        jax.config.update("jax_compilation_cache_dir", str(home / "jaxshell"))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
 
 def _open_scene(name: str):
