@@ -5,9 +5,9 @@ by the keyboard. JAX and matplotlib are imported when a command needs them, and 
 """
 
 import argparse
-import os
 import dataclasses
 import itertools
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
