@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import jaxshell as js
 from jaxshell.assembly import analyse
 from jaxshell.elements import corotational
-from jaxshell.elements.inertia import Spins
+from jaxshell.elements.inertia import PointStart, Spins
 from jaxshell.methods import seven_point
 from jaxshell.methods.bathe import ThreePointBackward
 from jaxshell.methods.central_difference import lumped_mass
@@ -73,10 +73,13 @@ def stiffness(model):
 
 @pytest.fixture(scope="module")
 def consistent_mass(model):
-    rest = Spins(jnp.stack([jnp.eye(3)] * 7), jnp.zeros((7, 3)), jnp.zeros((7, 3)))
     unit = step_factors(1.0, 0.5, 0.0, 0.0, 1.0)  # 1/(βΔt²) = 1 leaves M, eq. (53)
-    still = jnp.zeros((3, 3))
-    matrices = jax.jit(jax.vmap(lambda element: seven_point.inertial_tangent(still, rest, element, unit)))
+
+    def mass(element):
+        up, still = jnp.broadcast_to(element.frame[2], (7, 3)), jnp.zeros((7, 3))
+        return seven_point.inertial_tangent(jnp.zeros((3, 3)), PointStart(up, still, still), element, unit)
+
+    matrices = jax.jit(jax.vmap(mass))
     return dense(model, matrices(model.elements))
 
 
@@ -100,11 +103,8 @@ def modes(K, M):
 # --- tangents ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "method", [js.GeneralizedAlpha(0.5), ThreePointBackward()], ids=lambda m: type(m).__name__
-)
-def test_closed_form_tangent_is_the_derivative(method, model):
-    """With a follower pressure, far from rest; Newmark and HHT are parameter choices of the first."""
+def random_step(model, with_pressure: bool):
+    """(x, R, increments (18,), data) of one element far from rest."""
     rng = np.random.default_rng(3)
 
     def random(*shape):
@@ -114,9 +114,23 @@ def test_closed_form_tangent_is_the_derivative(method, model):
     element = jax.tree.map(lambda leaf: leaf[0], model.elements)
     x, R = model.gather(model.x0)[0] + 0.02 * random(3, 3), rotations(0.4 * random(3, 3))
     spins = Spins(rotations(random(7, 3)), 3.0 * random(7, 3), 20.0 * random(7, 3))
-    data = ElementData(element, random(3, 3), 10.0 * random(3, 3), spins, jnp.array(1e3))
+    points, pressure = PointStart.of(spins, element.frame[2]), jnp.array(1e3) if with_pressure else None
+    data = ElementData(element, random(3, 3), 10.0 * random(3, 3), points, pressure)
+    return x, R, (jnp.asarray([0.01] * 3 + [0.2] * 3) * random(3, 6)).reshape(18), data
+
+
+def assert_same_tangent(closed, derivative):
+    """Forces and moments, displacements and rotations have different units: each pair on its own scale."""
+    blocks = [np.asarray(K).reshape(3, 2, 3, 3, 2, 3) for K in (closed - derivative, derivative)]
+    error, scale = (np.abs(K).max(axis=(0, 2, 3, 5)) for K in blocks)
+    assert np.all(error <= 1e-11 * scale)
+
+
+def test_closed_form_tangent_is_the_derivative(model):
+    """With a follower pressure; Newmark and HHT are parameter choices of the same functions."""
+    method = js.GeneralizedAlpha(0.5)
+    x, R, u, data = random_step(model, with_pressure=True)
     step = method.factors(0.01)
-    u = (jnp.asarray([0.01] * 3 + [0.2] * 3) * random(3, 6)).reshape(18)
 
     @jax.jit
     def both(u):
@@ -127,12 +141,26 @@ def test_closed_form_tangent_is_the_derivative(method, model):
             found = method.element_forces(motion(u), u.reshape(3, 6), data, step)
             return found.elastic + found.inertial
 
-        return jax.jacfwd(forces)(u), method.element_tangent(motion(u), u.reshape(3, 6), data, step)
+        return method.element_tangent(motion(u), u.reshape(3, 6), data, step), jax.jacfwd(forces)(u)
 
-    derivative, closed = (np.asarray(K).reshape(3, 2, 3, 3, 2, 3) for K in both(u))
-    # Forces and moments, displacements and rotations have different units: each pair on its own scale.
-    error, scale = (np.abs(K).max(axis=(0, 2, 3, 5)) for K in (closed - derivative, derivative))
-    assert np.all(error < 1e-11 * scale)
+    assert_same_tangent(*both(u))
+
+
+def test_closed_form_tangent_of_the_three_point_formula(model):
+    """Bathe's second half differs from the others in its inertia only."""
+    _, _, u, data = random_step(model, with_pressure=False)
+    step = ThreePointBackward().factors(0.01)
+
+    @jax.jit
+    def both(u):
+        def forces(u):
+            u = u.reshape(3, 6)
+            return seven_point.inertial_forces(u[:, :3], u[:, 3:], data.v, data.a, data.points, data.element, step)
+
+        theta = u.reshape(3, 6)[:, 3:]
+        return seven_point.inertial_tangent(theta, data.points, data.element, step), jax.jacfwd(forces)(u)
+
+    assert_same_tangent(*both(u))
 
 
 @pytest.mark.parametrize(
@@ -222,9 +250,7 @@ def test_period_errors_are_the_textbooks():
     omega, dt = 1.0, 0.3
     exact = 2.0 * np.pi
     assert period(js.Newmark(), omega, dt) == pytest.approx(exact * 0.15 / np.arctan(0.15), rel=1e-4)
-    assert period(js.CentralDifference(), omega, dt) == pytest.approx(
-        exact * 0.15 / np.arcsin(0.15), rel=1e-4
-    )
+    assert period(js.CentralDifference(), omega, dt) == pytest.approx(exact * 0.15 / np.arcsin(0.15), rel=1e-4)
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.5, 0.9])
@@ -334,6 +360,4 @@ def test_an_explicit_run_that_blows_up_ends_as_unstable():
     assert "explicit method became unstable" in solution.message
     assert 1 < len(solution.times) < 1000
     energy = np.asarray(solution.energy.total)
-    assert (
-        np.all(np.isfinite(energy)) and energy.max() <= 10.0 * np.asarray(solution.energy.external_work).max()
-    )
+    assert np.all(np.isfinite(energy)) and energy.max() <= 10.0 * np.asarray(solution.energy.external_work).max()
