@@ -38,6 +38,10 @@ def test_error_is_the_largest_distance_over_the_largest_size():
     assert np.isclose(error, 0.02 / np.sin(TIMES).max(), rtol=1e-3)
     beyond = np.append(times, 3.0)  # what the reference does not cover is not judged
     assert references.error(scene, SINE, beyond, np.append(displacements, displacements[:1] + 9, 0)) == error
+    shared = np.append(TIMES[:4], 0.12)  # where both have values, those between do not count
+    wild = np.zeros((5, scene.mesh.n_nodes, 3))
+    wild[:, 0, 2] = np.append(np.sin(TIMES[:4]), 7.0)
+    assert references.error(scene, SINE, shared, wild) < 1e-12
     displacements[2] = np.nan
     assert references.error(scene, SINE, times, displacements) == np.inf
 
