@@ -5,6 +5,7 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxshell as js
 
@@ -89,8 +90,12 @@ def directions(p: dict) -> dict:
     """For every parameter, a random direction in it alone: leaves with a leading axis over the parameters."""
     rng = np.random.default_rng(3)
     return {
-        name: jnp.stack([jnp.asarray(rng.standard_normal(np.shape(v)) if other == name else np.zeros(np.shape(v)))
-                         for other in p])
+        name: jnp.stack(
+            [
+                jnp.asarray(rng.standard_normal(np.shape(v)) if other == name else np.zeros(np.shape(v)))
+                for other in p
+            ]
+        )
         for name, v in p.items()
     }
 
@@ -103,7 +108,23 @@ def products(gradient: dict, directions: dict) -> dict[str, float]:
     }
 
 
-def difference_error(f, p: dict, direction: dict, exact: float, steps=(1e-2, 3e-3, 1e-3, 3e-4, 1e-4)) -> float:
+def check_derivatives(value_and_gradient, push, p: dict) -> None:
+    """Adjoint against forward mode to 1e-10 and against central differences to 1e-6, each parameter apart.
+
+    value_and_gradient(p) → (value, gradient); push(p, direction) → the directional derivative.
+    """
+    along = directions(p)
+    _, gradient = value_and_gradient(p)
+    back = products(gradient, along)
+    for i, name in enumerate(p):
+        one = {k: v[i] for k, v in along.items()}
+        assert back[name] == pytest.approx(float(push(p, one)), rel=1e-10), name
+        assert difference_error(lambda p: value_and_gradient(p)[0], p, one, back[name]) < 1e-6, name
+
+
+def difference_error(
+    f, p: dict, direction: dict, exact: float, steps=(1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
+) -> float:
     """Smallest relative error of `exact` against fourth-order central differences over the step sizes."""
 
     def at(s):
