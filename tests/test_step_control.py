@@ -1,0 +1,93 @@
+"""Step control: landing, accuracy per step, halving on failure, the estimate itself."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxshell as js
+from jaxshell.step_control import StepControl, local_error
+
+
+@pytest.fixture(scope="module")
+def cap():
+    return js.scenes.spherical_cap(divisions=3)
+
+
+def test_the_estimate_is_the_mid_point_rules_local_error():
+    """r(t) = t² moves a node by t³/3; Δt times the mean of the end velocities misses it by -Δt³ r''/12."""
+    ends = np.array([1.7, 1.4, 1.2, 1.1])  # newest first
+    means = [(a**3 - b**3) / 3 / (a - b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    rates = jnp.asarray(means)[:, None, None] * jnp.asarray([1.0, 0.0, 0.0])
+    dt, before = 0.3, jnp.asarray([0.2, 0.1])
+    found = float(local_error(rates, dt, before))
+    trapezoid = dt * (ends[0] ** 2 + ends[1] ** 2) / 2 - (ends[0] ** 3 - ends[1] ** 3) / 3
+    assert found == pytest.approx(abs(trapezoid), rel=0.05)
+
+
+@pytest.mark.parametrize("method", [js.EnergyMomentum(), js.GeneralizedEnergyMomentum()])
+def test_steps_land_on_output_times_and_kinks(cap, method):
+    node = js.NodalForce([0], [0.0, 0.0, -5.0], js.History([0.0, 1.3e-5, 3.1e-5], [0.0, 1.0, 0.5]))
+    scene = js.Scene(cap.mesh, cap.section, cap.supports, [node], watch={"apex": (0, "uz")})
+    control = StepControl(1e-4, 1e-6, output_interval=1e-5)
+    solution = js.simulate(scene, method, dt=control, t_end=4.5e-5)
+    np.testing.assert_allclose(solution.frame_times, [0.0, 1e-5, 2e-5, 3e-5, 4e-5, 4.5e-5], rtol=1e-12)
+    times = np.asarray(solution.times)
+    for kink in (1.3e-5, 3.1e-5):
+        assert np.min(np.abs(times - kink)) < 1e-18
+    assert np.all(np.diff(times) > 0)
+    assert solution.stats["accepted"] == times.size - 1 == solution.stats["steps"]
+    assert solution.stats["rejected"] >= 0
+
+
+def test_a_tighter_tolerance_is_more_accurate_and_takes_more_steps(cap):
+    node = js.NodalForce([0], [0.0, 0.0, -20.0], js.History.ramp(1e-4))
+    scene = js.Scene(cap.mesh, cap.section, cap.supports, [node], watch={"apex": (0, "uz")})
+    exact = js.simulate(scene, js.EnergyMomentum(), dt=2.5e-7, t_end=1.5e-4, save_every=100)
+    errors, steps = [], []
+    for tolerance in (1e-5, 1e-7):
+        control = StepControl(tolerance, 1e-6, output_interval=1.5e-4)
+        solution = js.simulate(scene, js.EnergyMomentum(), dt=control, t_end=1.5e-4)
+        there = np.interp(solution.times, exact.times, exact.watched["apex"])
+        errors.append(np.max(np.abs(there - solution.watched["apex"])) / np.max(np.abs(there)))
+        steps.append(solution.stats["steps"])
+    assert errors[1] < 0.5 * errors[0]
+    assert steps[1] > steps[0]
+
+
+def test_a_step_on_which_newton_fails_is_halved(cap):
+    """Two corrections are enough for small steps only: a fixed step of 2e-6 fails."""
+    newton = js.Newton(max_iterations=2)
+    with pytest.raises(js.SimulationError):
+        js.simulate(cap, js.EnergyMomentum(), dt=2e-6, t_end=2e-5, newton=newton)
+    control = StepControl(1e-1, 2e-6, output_interval=2e-5)
+    solution = js.simulate(cap, js.EnergyMomentum(), dt=control, t_end=2e-5, newton=newton)
+    assert solution.stats["rejected"] > 0
+    assert solution.result == js.RESULTS.successful
+
+
+def test_the_smallest_step_ends_the_run_and_keeps_what_was_done(cap):
+    control = StepControl(1e-12, 1e-6, smallest=9e-7)
+    solution = js.simulate(cap, js.EnergyMomentum(), dt=control, t_end=4e-5, throw=False)
+    assert solution.result == js.RESULTS.step_too_small
+    assert "smallest" in solution.message and solution.times.size >= 1
+
+
+def test_frozen_steps_repeat_the_run(cap):
+    control = StepControl(1e-4, 1e-6, output_interval=1e-5)
+    first = js.simulate(cap, js.EnergyMomentum(), dt=control, t_end=3e-5)
+    again = js.simulate(cap, js.EnergyMomentum(), dt=np.asarray(first.step_sizes))
+    np.testing.assert_allclose(again.watched["apex"], first.watched["apex"], rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        ({"tolerance": 0.0, "initial": 1.0}, "tolerance must be positive, but it is 0.0"),
+        ({"tolerance": 1e-3, "initial": -1.0}, "initial must be positive, but it is -1.0"),
+        ({"tolerance": 1e-3, "initial": 1.0, "smallest": 2.0}, "smallest <= initial"),
+        ({"tolerance": 1e-3, "initial": 1.0, "output_interval": 0.0}, "output_interval must be positive"),
+    ],
+)
+def test_bad_numbers_are_named(arguments, match):
+    with pytest.raises(ValueError, match=match):
+        StepControl(**arguments)
