@@ -35,7 +35,12 @@ from jaxshell.references import Reference, agreement, extrapolate  # noqa: E402
 TITLES = {"cap": "Clamped cap", "opened_cap": "Top-opened cap", "plate": "Free plate", "tiny": "Tiny cap"}
 # Steps of the peers over the scene's, coarse to fine; the last two make the peer's own reference. Kratos needs
 # a second a step on the opened cap: few there. Windows of their own keep it affordable, and flatter them.
-PEER_STEPS = {"cap": (4, 2, 1, 0.5, 0.25, 0.125, 0.0625, 0.03125), "opened_cap": (4, 2, 1), "plate": (4, 2, 1, 0.5), "tiny": (4, 2, 1)}
+PEER_STEPS = {
+    "cap": (4, 2, 1, 0.5, 0.25, 0.125, 0.0625, 0.03125),
+    "opened_cap": (4, 2, 1),
+    "plate": (4, 2, 1, 0.5),
+    "tiny": (4, 2, 1),
+}
 PEER_WINDOW = {"cap": 5e-5, "opened_cap": 0.4, "plate": 0.005}
 
 
@@ -50,9 +55,7 @@ def peer_points(scene, name: str, reference: Reference, python: str, window: flo
             dt = factor * scene.defaults.dt
             steps = max(4, round(window / dt))
             history = folder / f"{program}.npz"
-            answer = worker(
-                case=str(case), dt=dt, steps=steps, tolerance=1e-8, absolute=True, history=str(history)
-            )
+            answer = worker(case=str(case), dt=dt, steps=steps, tolerance=1e-8, absolute=True, history=str(history))
             with np.load(history) as stored:
                 times, displacements = stored["times"], stored["displacements"]
             print(f"  {program} dt = {dt:.3g}: {answer['seconds']:.2f} s", flush=True)
