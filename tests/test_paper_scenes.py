@@ -1,6 +1,6 @@
 """The scenes of Yang & Xia 2014, section VI, their first parts; `test_paper_scenes_slow.py` runs them to the end.
 
-`pytest tests/test_paper_scenes.py tests/test_paper_scenes_slow.py -m "" -s` prints every figure. Reference values:
+`pytest -n 0 -s -m "slow or not slow" tests/test_paper_scenes*.py` prints every figure. Reference values:
 issue figures of two independent trial codes of the paper's method, and Kratos Multiphysics 10.4.4 (tests/data).
 """
 
