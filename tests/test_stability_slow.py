@@ -4,6 +4,7 @@ import importlib.util
 import json
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -60,3 +61,26 @@ def test_explicit_and_newmark_agree_as_the_mesh_is_refined():
         print(rows, tips)
         differences.append(abs(tips[0] - tips[1]) / abs(tips[1]))
     assert differences[1] < 0.5 * differences[0] and differences[2] < 0.35 * differences[1]
+
+
+@pytest.mark.parametrize("method", [js.GeneralizedAlpha(0.8), js.Bathe(), js.CentralDifference()])
+def test_gradient_of_a_run_is_its_difference(method):
+    """Tip deflection of a cantilever by its thickness: reverse mode against fourth-order differences."""
+    x, y = (k.ravel() for k in np.meshgrid(np.arange(3), np.arange(2), indexing="ij"))
+    mesh = js.Mesh(np.stack([0.5 * x, 0.2 * y, 0.0 * x], axis=1), js.structured_triangles(2, 1))
+    dt = np.full(60, 1.8e-4 if isinstance(method, js.CentralDifference) else 2e-2)
+
+    def tip(thickness):
+        scene = js.Scene(
+            mesh,
+            js.Section(thickness, 1e6, 0.3, 1000.0),
+            supports=[js.clamped([0, 1])],
+            loads=[js.NodalForce([4], [0.0, 0.1, 0.5])],
+            watch={"tip": (4, "uz")},
+        )
+        return js.simulate(scene, method, dt=dt, newton=js.Newton(tolerance=1e-12)).watched["tip"][-1]
+
+    h, width = 0.02, 2e-5
+    f = [float(tip(h + k * width)) for k in (-2, -1, 1, 2)]
+    difference = (f[0] - 8.0 * f[1] + 8.0 * f[2] - f[3]) / (12.0 * width)
+    assert float(jax.grad(tip)(h)) == pytest.approx(difference, rel=1e-7)
