@@ -294,7 +294,7 @@ def picture(rows: list[dict], path: Path) -> None:
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
     axes.set_title(
-        "Energy made or lost at the end, as part of the loads' work; red: failed; orange: needed over 25 iterations",
+        "Energy made or lost at the end, as part of the loads' work\nred: failed; orange: over 25 iterations",
         fontsize=8,
     )
     fig.colorbar(cm.ScalarMappable(norm, colours), ax=axes, label="largest |drift|", fraction=0.03)
