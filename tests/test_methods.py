@@ -256,7 +256,7 @@ def test_period_errors_are_the_textbooks():
 @pytest.mark.parametrize("radius", [0.0, 0.5, 0.9])
 def test_generalized_alpha_shrinks_the_highest_modes_by_its_spectral_radius(radius):
     """The triple root -ρ∞ of Chung & Hulbert's amplification matrix, for ω → ∞, from the factors alone."""
-    beta, gamma, alpha_m, alpha_f, dt = (float(k) for k in js.GeneralizedAlpha(radius).factors(1.0))
+    beta, gamma, _, alpha_f, _ = (float(k) for k in js.GeneralizedAlpha(radius).factors(1.0))
     # (q, v, a)_{n+1} with (1-αf) q_{n+1} + αf q_n = 0, all that is left of the balance.
     left = np.array([[1.0, 0.0, -beta], [0.0, 1.0, -gamma], [1.0 - alpha_f, 0.0, 0.0]])
     right = np.array([[1.0, 1.0, 0.5 - beta], [0.0, 1.0, 1.0 - gamma], [-alpha_f, 0.0, 0.0]])
