@@ -134,9 +134,7 @@ def _forces(s, p, edges):
     return F + jnp.sum(p, axis=0), jnp.sum(jnp.cross(p, edges[None]), axis=1)
 
 
-def evaluate(
-    start: StepStart, x, R, u: Float[Array, "3 6"], element: Element, dissipation, excess=None
-) -> StepState:
+def evaluate(start: StepStart, x, R, u: Float[Array, "3 6"], element: Element, dissipation, excess=None) -> StepState:
     """The step from its start to positions x (3, 3) and rotations R (3, 3, 3), with increments u = (Δx, θ).
 
     `excess` (12,), where given, is added to the deformations at the end in the stresses f.
@@ -175,9 +173,7 @@ def evaluate(
     c = missing * per_norm
     s = s + c * w_metric * d_metric
     p = p + c * w * _apply_transposed(A, turned)
-    return StepState(
-        kin, increments, edges, theta, A, turned, d_metric, change, f, mu, P1, s, p, c, per_norm
-    )
+    return StepState(kin, increments, edges, theta, A, turned, d_metric, change, f, mu, P1, s, p, c, per_norm)
 
 
 def _apply(A, vectors) -> Float[Array, "3 2 3"]:
@@ -217,9 +213,7 @@ def _metric_map(coordinates) -> Float[Array, "3 4"]:
     return jnp.stack([*first, *second, zero, zero, 1.0 / by, zero]).reshape(3, 4)
 
 
-def elastic_tangent(
-    state: StepState, start: StepStart, element: Element, dissipation
-) -> Float[Array, "18 18"]:
+def elastic_tangent(state: StepState, start: StepStart, element: Element, dissipation) -> Float[Array, "18 18"]:
     """Derivative of `elastic_forces` by u, in closed form.
 
     The stresses and G₁ depend on the twelve local variations e' = (l, b̄x, b̄y, ω̄_1, ω̄_2, ω̄_3) only, ω̄_k the
@@ -309,7 +303,7 @@ def _local_tangent(state: StepState, start: StepStart, element: Element, dissipa
         ],
         axis=3,
     )
-    outer = (at_end[:, None] @ inner)
+    outer = at_end[:, None] @ inner
     B = outer[..., :3] + at_start[:, None] @ (V0[None] @ HT0[:, None])
     B, fixed = B.reshape(3, 6, 3), outer[..., 3:].reshape(3, 6, 6)
 
@@ -326,7 +320,8 @@ def _local_tangent(state: StepState, start: StepStart, element: Element, dissipa
     spread = jnp.stack([jnp.stack([edges[0], edges[1], zero]), jnp.stack([zero, edges[0], edges[1]])])
     F = jnp.einsum("isx,sc->ixc", spread, s).reshape(6, 12)
     F = F + jnp.einsum("kpm,kmc->pc", B, moments)
-    F = F + jnp.concatenate([jnp.sum(fixed[:, :, :3], axis=0), jnp.transpose(fixed[:, :, 3:], (1, 0, 2)).reshape(6, 9)], axis=1)
+    own = jnp.transpose(fixed[:, :, 3:], (1, 0, 2)).reshape(6, 9)
+    F = F + jnp.concatenate([jnp.sum(fixed[:, :, :3], axis=0), own], axis=1)
     arm = jnp.transpose(-_skews(edges), (1, 0, 2)).reshape(3, 6)
     M = (arm[None] @ B) @ moments
     turned = arm[None] @ fixed

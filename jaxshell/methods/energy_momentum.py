@@ -125,6 +125,26 @@ class EnergyMomentum(ImplicitMethod):
 
     # --- the shell -----------------------------------------------------------------------------------------
 
+    def predict(self, model: Model, state: EnergyMomentumState, dt) -> Float[Array, "n 6"]:
+        """Extrapolation of the last steps, or a start without new strains where that leaves a smaller residual.
+
+        Large steps cannot be extrapolated: nodes that overshoot stretch the membrane, whose forces then rule
+        Newton's iteration. A free shell then starts as a rigid body, a held one from where it is.
+        """
+        begun = self.begin(model, state, dt)
+        held = model.held_displacement(state.time + dt) - model.held_displacement(state.time)
+        is_force = model.tables.free % 6 < 3
+
+        def unbalanced(u):
+            u = model.expand(model.free(u), held)
+            return jnp.sum(jnp.where(is_force, model.free(self.balance(model, state, begun, u).residual), 0.0) ** 2)
+
+        smooth = predictor.extrapolate(state.rates, dt)
+        is_held = model.tables.held.size > 0
+        calm = jnp.zeros_like(smooth) if is_held else predictor.rigid(state.rates, state.x, dt)
+        # Where the extrapolation gives no number at all, the comparison is false.
+        return jnp.where(unbalanced(smooth) < unbalanced(calm), smooth, calm)
+
     def mixed_matrices(self, model: Model, state, begun, u, last, tangent: str) -> Float[Array, "m 18 18"]:
         """Tangents with the stresses that the last correction predicts linearly, as in `jaxshell.methods.static`.
 
@@ -142,8 +162,8 @@ class EnergyMomentum(ImplicitMethod):
             return before + change - deformations(u)
 
         data, step, loads = begun
-        corners = model.gather((u, last, state.x, state.R))
-        data = data._replace(excess=jax.vmap(excess)(*corners, model.elements))
+        u_corners, last, x, R = model.gather((u, last, state.x, state.R))
+        data = data._replace(excess=jax.vmap(excess)(u_corners, last, x, R, model.elements))
         return self.matrices(model, state, (data, step, loads), u, tangent)
 
     def start(self, model: Model, scene, time) -> EnergyMomentumState:
@@ -153,7 +173,9 @@ class EnergyMomentum(ImplicitMethod):
         return EnergyMomentumState(jnp.asarray(time, float), x, R, v, W, zero, zero, rates)
 
     def begin(self, model: Model, state: EnergyMomentumState, dt):
-        middle = lambda history: 0.5 * (history(state.time) + history(state.time + dt))  # noqa: E731
+        def middle(history):
+            return 0.5 * (history(state.time) + history(state.time + dt))
+
         pressure = middle(model.pressure) if model.pressures else None
         x, R, v, W = model.gather((state.x, state.R, state.v, state.W))
         normals = model.elements.frame[:, None, None, 2]
@@ -209,9 +231,7 @@ class EnergyMomentum(ImplicitMethod):
 
 
 def _evaluate(motion: Motion, u, data: ElementData, step: Shared) -> energy_momentum.StepState:
-    return energy_momentum.evaluate(
-        data.start, motion.x, motion.R, u, data.element, step.dissipation, data.excess
-    )
+    return energy_momentum.evaluate(data.start, motion.x, motion.R, u, data.element, step.dissipation, data.excess)
 
 
 # --- one element: inertia and pressure --------------------------------------------------------------------

@@ -9,6 +9,8 @@ frequency is not amplified, as it would be by fixed coefficients.
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxshell import rotations
+
 HISTORY = 4
 Rates = Float[Array, "4 n 6"]
 
@@ -26,6 +28,21 @@ def remember(rates: Rates, increments: Float[Array, "n 6"], dt) -> Rates:
 def extrapolate(rates: Rates, dt) -> Float[Array, "n 6"]:
     """Increments from which the next step's Newton starts."""
     return dt * jnp.concatenate([_next(rates[:, :, :3]), _next(rates[:, :, 3:])], axis=1)
+
+
+def rigid(rates: Rates, x: Float[Array, "n 3"], dt) -> Float[Array, "n 6"]:
+    """Increments of the rigid motion that fits the last step's displacements best; rotations as Cayley vectors.
+
+    Rigid about the mid-point positions, Δx = Δc + θ × (x_m - c_m), which the Cayley transform does exactly.
+    """
+    moved = dt * rates[0, :, :3]
+    centre, middle = jnp.mean(moved, axis=0), x - 0.5 * moved
+    arms, relative = middle - jnp.mean(middle, axis=0), moved - centre
+    inertia = jnp.sum(arms * arms) * jnp.eye(3) - arms.T @ arms
+    theta = jnp.linalg.solve(inertia, jnp.sum(jnp.cross(arms, relative), axis=0))
+    turned = rotations.cayley(theta)
+    arms = x - jnp.mean(x, axis=0)
+    return jnp.concatenate([centre + arms @ turned.T - arms, jnp.broadcast_to(theta, x.shape)], axis=1)
 
 
 def _next(rates):
