@@ -93,6 +93,7 @@ def test_plate_keeps_its_energy_by_emc(flights):
 @pytest.mark.parametrize("name", ["EDMC1", "EDMC2"])
 def test_plate_loses_energy_in_the_mean_by_edmc(name, flights):
     energy = np.asarray(flights[name].energy.total)[80:]
-    means = energy[:1920].reshape(16, 120).mean(axis=1)
+    # Means over 12 ms, longer than the period of the free plate's first bending mode (8.5 ms).
+    means = energy[:1920].reshape(8, 240).mean(axis=1)
     print(f"plate, {name}: loses {1 - energy[-1] / energy[0]:.2%} between 4 ms and 0.1 s")
     assert np.all(np.diff(means) < 0)
