@@ -6,11 +6,12 @@ Values that are being traced (under `jax.grad`, `jax.vmap`, `jax.jit`) cannot be
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 
 def require_float64() -> None:
     """Raise RuntimeError when JAX runs in single precision, in which a shell's tangent is not solvable."""
-    if not jax.config.jax_enable_x64:
+    if jax.dtypes.canonicalize_dtype(np.float64) != np.float64:
         raise RuntimeError(
             "jaxshell needs float64, and JAX has it switched off. Call "
             'jax.config.update("jax_enable_x64", True) at the top of the script, before any array is made, '
@@ -21,7 +22,7 @@ def require_float64() -> None:
 def is_concrete(value) -> bool:
     """Whether `value` holds numbers that can be looked at (no tracer, no placeholder of a tree operation)."""
     return isinstance(value, np.ndarray | float | int | np.number) or (
-        isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer)
+        isinstance(value, jax.Array) and not isinstance(value, Tracer)
     )
 
 

@@ -62,7 +62,7 @@ class Mesh(eqx.Module):
         """
         found = np.flatnonzero(condition(np.asarray(self.nodes).T))
         if found.size == 0:
-            raise ValueError("nodes_where: no node fulfils the condition; widen its tolerance or check the coordinates.")
+            raise ValueError("nodes_where: no node fulfils the condition; widen its tolerance or check it.")
         return found
 
     def nearest_node(self, point) -> int:

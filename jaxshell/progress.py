@@ -32,10 +32,8 @@ class Progress:
             return
         energy = record.observed.kinetic[-1] + record.observed.strain[-1]
         self.taken += record.time.size
-        if self.steps is None:
-            part = float(record.time[-1] - self.start) / self.duration
-        else:
-            part = self.taken / self.steps
+        passed = float(record.time[-1] - self.start)
+        part = passed / self.duration if self.duration else self.taken / (self.steps or 1)
         self.bar.set_description("running", refresh=False)
         self.bar.set_postfix_str(
             f"step {self.taken}, t = {record.time[-1]:.4g}, {record.iterations.mean():.1f} iterations/step, "

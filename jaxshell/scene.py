@@ -145,7 +145,8 @@ class Scene(eqx.Module):
         held = [s.dof_numbers.ravel() for s in self.supports if s.displacement is None]
         if moved:
             numbers = np.concatenate(moved)
-            repeated = np.concatenate([np.intersect1d(numbers, np.concatenate([*held, np.zeros(0, int)])), _repeats(numbers)])
+            both = np.intersect1d(numbers, np.concatenate([*held, np.zeros(0, int)]))
+            repeated = np.concatenate([both, _repeats(numbers)])
             if repeated.size:
                 node, dof = divmod(int(repeated[0]), 6)
                 raise ValueError(

@@ -94,7 +94,8 @@ def simulate(
         empty = jnp.zeros(0, jnp.int32)
         tables, handle = nodal_tables(structure_of(scene)), Handle(empty, empty, empty, ())
     choices = Choices(tangent, linear_solver, save_every, scene.watch)
-    run = Run(scene, *_floats_to_arrays((method, newton)), tables, handle, choices)
+    method, newton = _floats_to_arrays((method, newton))
+    run = Run(scene, method, newton, tables, handle, choices)
 
     if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, method, newton, steps))):
         if output is not None or progress:
@@ -173,7 +174,7 @@ def _driven_run(run: Run, steps, output, bar, restart) -> Solution:
 def _fixed_chunks(run: Run, model, carry, steps, start):
     """Run given step sizes; yields (carry, record, frame, the size of a step that failed, counts) a chunk."""
     save_every = run.choices.save_every
-    frames = max(1, min(_CHUNK_STEPS // save_every, -(-len(steps) // save_every)))
+    frames = max(1, _CHUNK_STEPS // save_every)  # of any run, so that its length compiles nothing anew
     size, ends, taken = frames * save_every, start + np.cumsum(steps), 0
     for at in range(0, len(steps), size):
         fill = size - len(steps[at : at + size])
@@ -196,7 +197,7 @@ def _controlled_chunks(run: Run, model, carry, steps: Controlled, start):
     attempts = program.Attempts(carry, control.start(start))
     while float(attempts.control.time) < stops[-1] and int(attempts.carry.result) == SUCCESSFUL:
         attempts, found = program.try_steps(
-            model, run.method, run.newton, run.handle, run.choices, control, attempts, stops, np.zeros(_CHUNK_STEPS)
+            model, run.method, run.newton, run.handle, run.choices, control, attempts, stops, jnp.zeros(_CHUNK_STEPS)
         )
         record, frame = jax.tree.map(np.asarray, found)
         shown = record.done & np.isin(record.time, outputs)

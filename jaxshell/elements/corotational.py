@@ -32,6 +32,9 @@ _MEMBRANE_KEPT = np.array([3, 6, 7, 2, 5, 8])
 _BENDING_KEPT = np.array([1, 2, 4, 5, 7, 8])
 
 
+Scalar = float | Float[Array, ""]
+
+
 class Element(eqx.Module):
     """What one element needs of its stress-free shape and section."""
 
@@ -267,7 +270,9 @@ def gradient_to_global(Lambda, kin: Kinematics) -> Float[Array, "r 18"]:
     return product(Lambda.reshape(-1, 6, 3), kin.frame).reshape(-1, 18)
 
 
-def stiffness(kin: Kinematics, f, element: Element, spin, material=1.0, geometric=1.0, average=None):
+def stiffness(
+    kin: Kinematics, f, element: Element, spin, material: Scalar = 1.0, geometric: Scalar = 1.0, average=None
+) -> Float[Array, "18 18"]:
     """Tangent stiffness in global axes, (18, 18), eq. (85), or eq. (97) at the generalised mid-point.
 
     Arguments:

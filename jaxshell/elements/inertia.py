@@ -46,11 +46,11 @@ class Spins(eqx.Module):
 class StepFactors(NamedTuple):
     """The generalised mid-point's numbers, eqs. (13), (14), (91), (92): Newmark's β, γ, the α's, and Δt."""
 
-    beta: Float[Array, ""]
-    gamma: Float[Array, ""]
-    alpha_m: Float[Array, ""]
-    alpha_f: Float[Array, ""]
-    dt: Float[Array, ""]
+    beta: float | Float[Array, ""]
+    gamma: float | Float[Array, ""]
+    alpha_m: float | Float[Array, ""]
+    alpha_f: float | Float[Array, ""]
+    dt: float | Float[Array, ""]
 
     def first(self, increment, rate, acceleration):
         """Velocity at the end of the step, eqs. (13), (104)."""

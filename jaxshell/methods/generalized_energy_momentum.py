@@ -31,8 +31,8 @@ class GEMState(eqx.Module):
     R: Float[Array, "n 3 3"]
     v: Float[Array, "n 3"]
     a: Float[Array, "n 3"]
-    spins: Spins | None
-    """At the seven Gauss points of each element (m, 7, ...), or at the nodes (n, ...), or absent."""
+    spins: Any
+    """`Spins` at the seven Gauss points of each element (m, 7, ...), or at the nodes (n, ...), or None."""
     external_work: Float[Array, ""]
     rates: predictor.Rates
     """Of the last steps, for the predictor."""
@@ -48,8 +48,8 @@ class ElementData(NamedTuple):
     v: Float[Array, "3 3"]
     a: Float[Array, "3 3"]
     R: Float[Array, "3 3 3"]
-    spins: PointStart | Spins | None
-    """At the Gauss points (7, ...), at the nodes (3, ...), or absent."""
+    spins: Any
+    """`PointStart` at the Gauss points (7, ...), `Spins` at the nodes (3, ...), or None."""
     pressure: Float[Array, ""] | None
 
 
@@ -181,7 +181,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         return data, Shared(factors, jnp.asarray(self.dissipation)), loads
 
     def finish(self, model: Model, state: GEMState, dt, u, motion, begun) -> GEMState:
-        data, step, loads = begun
+        _, step, loads = begun
         factors = step.factors
         spins = state.spins
         if self.inertia == "seven_point":
