@@ -64,11 +64,13 @@ class LoadFactor(History):
 def proportional(scene: Scene) -> Scene:
     """The scene with all loads and prescribed displacements in proportion to the load factor."""
 
-    def histories(scene):
-        moving = [support for support in scene.supports if support.displacement is not None]
-        return [item.history for item in (*scene.loads, *moving)]
+    loads = range(len(scene.loads))
+    moving = [i for i, support in enumerate(scene.supports) if support.displacement is not None]
 
-    return eqx.tree_at(histories, scene, [LoadFactor() for _ in histories(scene)])
+    def histories(scene):
+        return [scene.loads[i].history for i in loads] + [scene.supports[i].history for i in moving]
+
+    return eqx.tree_at(histories, scene, [LoadFactor() for _ in (*loads, *moving)])
 
 
 def solve_static(
@@ -154,15 +156,17 @@ def _driven(scene, newton, tables, handle, choices: Choices, factors, output, ba
             smallest = abs(target - at) / 2**_CUTS
             spent, reached = np.zeros(2, int), None
             while at != target:
-                step = np.clip(target - at, -size, size)
-                end = target if abs(step) == abs(target - at) else at + step
+                rest = target - at
+                # All of the rest where only round-off keeps it from fitting: no sliver of a step is left.
+                whole = abs(rest) <= size * (1 + 1e-6)
+                step, end = (rest, target) if whole else (np.copysign(size, rest), at + np.copysign(size, rest))
                 new, memory, code, record, frame = _advance(
                     model, newton, handle, choices, state, memory, jnp.asarray(step), jnp.asarray(end)
                 )
                 code = int(code)
                 spent += int(record.iterations), int(record.factorizations)
                 if code == SUCCESSFUL:
-                    state, at, size, reached = new, float(end), 2 * abs(step), (record, frame)
+                    state, at, size, reached = new, float(end), max(size, 2 * abs(step)), (record, frame)
                 elif abs(step) / 2 < smallest:
                     break
                 else:

@@ -1,0 +1,169 @@
+"""Prints every figure of docs/validation.md: `python benchmarks/validation.py [name ...]`.
+
+The references are Sze, Liu & Lo 2004 (tables of load factor and displacement) unless a name says otherwise.
+"""
+
+import sys
+import time
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import numpy as np  # noqa: E402
+
+import jaxshell as js  # noqa: E402
+from jaxshell import generators, scenes  # noqa: E402
+from jaxshell.supports import ALL  # noqa: E402
+
+
+def table(title, rows, header):
+    print(f"\n{title}")
+    print("  " + " | ".join(f"{h:>12}" for h in header))
+    for row in rows:
+        print("  " + " | ".join(f"{c:>12}" if isinstance(c, str) else f"{c:12.4f}" for c in row))
+
+
+def against_reference(name, scene_of, meshes, reference, factors):
+    """`reference` {watch: {load factor: value}}; `factors` are the load steps."""
+    rows = []
+    for mesh in meshes:
+        begun = time.perf_counter()
+        run = js.solve_static(scene_of(mesh), factors, throw=False)
+        wall = time.perf_counter() - begun
+        for label, values in reference.items():
+            for factor, value in values.items():
+                at = np.flatnonzero(np.isclose(np.asarray(run.times), factor))
+                found = float(run.watched[label][at[0]]) if at.size else np.nan
+                rows.append(["×".join(map(str, mesh)), label, factor, found, value, f"{found / value - 1:+.2%}"])
+        rows.append([f"{wall:.0f} s", f"{run.stats['iterations']} its", *4 * [""]])
+        if run.message:
+            print("  " + run.message)
+    table(name, rows, ["mesh", "point", "load factor", "found", "reference", "difference"])
+
+
+def tenths(*more):
+    return np.unique(np.round([*np.arange(1, 11) / 10, *more], 6))
+
+
+def end_moment():
+    curvature = 12 * np.array([0.25, 0.5, 0.75]) * 50 * np.pi / 3 / 100
+    exact_u, exact_w = 12 * np.sin(curvature) / curvature - 12, 12 * (1 - np.cos(curvature)) / curvature
+    factors = (0.25, 0.5, 0.75)
+    reference = {
+        "tip u": dict(zip(factors, exact_u, strict=True)) | {1.0: -12.0},
+        "tip w": dict(zip(factors, exact_w, strict=True)),
+    }
+    meshes = [(10, 1), (20, 1), (40, 1), (40, 2)]
+    against_reference("cantilever, end moment (exact)", scenes.cantilever_end_moment, meshes, reference, tenths(0.25, 0.75))
+    run = js.solve_static(scenes.cantilever_end_moment((40, 1)))
+    print(f"  40×1, ten steps: iterations {np.asarray(run.iterations)[1:].tolist()}, "
+          f"tip misses the clamped end by {abs(float(run.watched['tip u'][-1]) + 12) / 12:.1e} (u) "
+          f"and {abs(float(run.watched['tip w'][-1])) / 12:.1e} (w) of the length")
+
+
+def end_shear():
+    reference = {"tip u": {0.5: -1.604, 1.0: -3.286}, "tip w": {0.5: 4.933, 1.0: 6.698}}
+    against_reference("cantilever, end shear", scenes.cantilever_end_shear, [(8, 1), (16, 1), (32, 1)], reference, tenths())
+
+
+def slit_annular_plate():
+    reference = {"A": {0.1: 4.277, 0.5: 10.468, 1.0: 13.891}, "B": {0.1: 5.876, 0.5: 13.768, 1.0: 17.528}}
+    meshes = [(6, 30), (6, 60), (10, 80)]
+    against_reference("slit annular plate", scenes.slit_annular_plate, meshes, reference, tenths())
+
+
+def cylinder_pull_out():
+    reference = {
+        "A": {0.1: 1.707, 0.5: 2.473, 1.0: 2.768},
+        "B": {0.1: -2.217, 0.5: -3.653, 1.0: -4.551},
+        "C": {0.1: -2.293, 0.5: -3.718, 1.0: -3.269},
+    }
+    meshes = [(8, 12), (16, 24), (24, 36)]
+    against_reference(
+        "pull-out of an open cylinder", scenes.cylinder_pull_out, meshes, reference, np.arange(1, 41) / 40
+    )
+
+
+def pinched_cylinder():
+    reference = {
+        "A": {0.05: -9.561, 0.1: -23.164, 0.5: -73.790, 1.0: -83.102},
+        "B": {0.1: -2.391, 0.5: 25.381, 1.0: 34.272},
+    }
+    meshes = [(16, 16), (24, 24), (40, 40)]
+    against_reference("pinched cylinder", scenes.pinched_cylinder, meshes, reference, np.arange(1, 41) / 40)
+
+
+def pinched_semi_cylinder():
+    reference = {"A": {0.1: -16.100, 0.3: -66.410, 0.5: -132.653, 1.0: -171.505}}
+    meshes = [(16, 16), (24, 24), (32, 32), (40, 40)]
+    against_reference(
+        "pinched semi-cylinder", scenes.pinched_semi_cylinder, meshes, reference, np.arange(1, 41) / 40
+    )
+
+
+def hemisphere():
+    reference = {  # Abaqus STRI3, quarter model
+        "inward": {0.4: -3.31, 0.6: -4.36, 1.0: -5.91},
+        "outward": {0.4: 2.31, 0.6: 2.80, 1.0: 3.38},
+    }
+    meshes = [(8, 8), (16, 16), (24, 24), (32, 32)]
+    against_reference("hemisphere with a hole (Abaqus STRI3)", scenes.hemisphere, meshes, reference, tenths())
+
+
+def twisted_beam():
+    rows = []
+    for load, exact in (("in-plane", 5.424e-3), ("out-of-plane", 1.754e-3)):
+        for mesh in ((6, 1), (12, 2), (24, 4), (48, 8)):
+            run = js.solve_static(scenes.twisted_beam(mesh, load), [1.0])
+            found = float(run.watched["tip"][-1])
+            rows.append([load, "×".join(map(str, mesh)), f"{found:.4e}", f"{exact:.4e}", f"{found / exact - 1:+.2%}"])
+    table("twisted beam (MacNeal & Harder 1985)", rows, ["load", "mesh", "found", "reference", "difference"])
+
+
+def hinged_roof():
+    limits = {12.7: [(0.7421, 11.293), (0.1729, 19.852)], 6.35: [(0.1953, 12.892), (-0.1288, 15.778)]}
+    for thickness, reference in limits.items():
+        rows = []
+        for mesh in ((8, 8), (16, 16), (24, 24)):
+            path = js.solve_arc_length(scenes.hinged_roof(mesh, thickness), 0.25, steps=300)
+            factors, centre = np.asarray(path.times), -np.asarray(path.watched["centre"])
+            inside = np.arange(1, len(factors) - 1)
+            turning = inside[(np.diff(factors)[:-1] * np.diff(factors)[1:]) < 0]
+            for point, at in zip(reference, turning, strict=False):
+                fit = np.polyfit([-1.0, 0.0, 1.0], factors[at - 1 : at + 2], 2)
+                value = np.polyval(fit, -fit[1] / (2 * fit[0]))
+                rows.append(["×".join(map(str, mesh)), value, point[0], f"{value / point[0] - 1:+.2%}", centre[at], point[1]])
+        header = ["mesh", "limit load", "reference", "difference", "deflection", "reference"]
+        table(f"hinged roof, h = {thickness}: limit loads by arc length", rows, header)
+
+
+def plates():
+    h, young_modulus, nu, density = 0.005, 1e7, 0.3, 2.0
+    unit = np.sqrt(young_modulus * h**3 / (12 * (1 - nu**2)) / (density * h)) / (2 * np.pi)
+    for name, held, exact in (
+        ("clamped (Leissa 1973)", ALL, [35.992, 73.413, 73.413, 108.27]),
+        ("free (Hurlebaus et al. 2001)", None, [13.468, 19.596, 24.270, 34.801, 34.801]),
+    ):
+        rows = []
+        for n in (8, 16, 24, 40):
+            mesh = generators.rectangle(1.0, 1.0, (n, n))
+            edge = mesh.nodes_where(lambda x: np.max(np.abs(x[:2] - 0.5), axis=0) > 0.5 - 1e-9)
+            supports = () if held is None else (js.Support(edge, held),)
+            scene = js.Scene(mesh, js.Section(h, young_modulus, nu, density), supports)
+            found = np.asarray(js.natural_frequencies(scene, len(exact), rigid_modes=False).frequencies) / unit
+            rows.append([f"{n}×{n}", *found])
+            rows.append(["", *(f"{f / e - 1:+.2%}" for f, e in zip(found, exact, strict=True))])
+        rows.append(["reference", *exact])
+        table(f"square plate, {name}: ω a² (ρh/D)^½", rows, ["mesh", *(f"mode {k + 1}" for k in range(len(exact)))])
+
+
+STUDIES = (
+    end_moment, end_shear, slit_annular_plate, cylinder_pull_out, pinched_cylinder, pinched_semi_cylinder,
+    hemisphere, twisted_beam, hinged_roof, plates,
+)  # fmt: skip
+
+if __name__ == "__main__":
+    for study in STUDIES:
+        if len(sys.argv) == 1 or study.__name__ in sys.argv[1:]:
+            study()

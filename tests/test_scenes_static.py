@@ -1,0 +1,62 @@
+"""The static benchmarks: what each scene states, and (slow) the references at the meshes that the docs name."""
+
+import numpy as np
+import pytest
+from balance import imbalance
+
+import jaxshell as js
+from jaxshell import scenes
+from jaxshell.mechanisms import check_supported
+
+# scene, resultant of force and of moment that the model carries at load factor 1, area of the model's middle surface
+STATED = [
+    (scenes.cantilever_end_shear((8, 2)), [0, 0, 4.0], [0, 0, 0], 10.0),
+    (scenes.cantilever_end_moment((8, 2)), [0, 0, 0], [0, -50 * np.pi / 3, 0], 12.0),
+    (scenes.slit_annular_plate(), [0, 0, 0.8 * 4], [0, 0, 0], np.pi * (100 - 36)),
+    (scenes.cylinder_pull_out(), [0, 0, 1e4], [0, 0, 0], 0.5 * np.pi * 4.953 * 5.175),
+    (scenes.pinched_cylinder(), [0, 0, -3e3], [0, 0, 0], 0.5 * np.pi * 100 * 100),
+    (scenes.pinched_semi_cylinder(), [0, 0, -1e3], [0, 0, 0], 0.5 * np.pi * 101.6 * 304.8),
+    (scenes.hinged_roof(), [0, 0, -750.0], [0, 0, 0], 254.0**2),
+    (scenes.hemisphere(), [100.0, -100.0, 0], [0, 0, 0], 0.5 * np.pi * 100 * np.cos(np.radians(18))),
+    (scenes.twisted_beam(), [0, 0, 1.0], [0, 0, 0], None),
+    (scenes.twisted_beam(load="out-of-plane"), [0, 1.0, 0], [0, 0, 0], None),
+]
+
+
+@pytest.mark.parametrize(("scene", "force", "moment", "area"), STATED, ids=lambda v: getattr(v, "name", ""))
+def test_loads_supports_and_geometry(scene, force, moment, area):
+    check_supported(scene)
+    loads = sum(np.asarray(load.nodal(scene.mesh.nodes, scene.mesh.triangles, None)) for load in scene.loads)
+    assert loads.sum(axis=0) == pytest.approx([*force, *moment], abs=1e-9)
+    corners = np.asarray(scene.mesh.nodes)[scene.mesh.triangles]
+    normals = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    if area is not None:
+        assert np.linalg.norm(normals, axis=1).sum() == pytest.approx(area, rel=5e-3)
+    for _, node, component in scene.watch:
+        assert 6 * node + ("ux", "uy", "uz").index(component) not in scene.held_dofs
+
+
+def test_an_unknown_load_is_refused():
+    with pytest.raises(ValueError, match="in-plane"):
+        scenes.twisted_beam(load="up")
+
+
+def run_and_compare(scene, factors, reference, tolerance):
+    run = js.solve_static(scene, factors)
+    assert imbalance(run) < 1e-9
+    for label, values in reference.items():
+        for factor, value in values.items():
+            at = int(np.flatnonzero(np.isclose(np.asarray(run.times), factor))[0])
+            assert float(run.watched[label][at]) == pytest.approx(value, rel=tolerance), (label, factor)
+
+
+TWENTIETHS = np.arange(1, 21) / 20
+FORTIETHS = np.arange(1, 41) / 40
+TENTHS = np.arange(1, 11) / 10
+
+
+@pytest.mark.slow
+def test_slit_annular_plate():
+    """Sze, Liu & Lo 2004, table 3."""
+    reference = {"A": {0.5: 10.468, 1.0: 13.891}, "B": {0.5: 13.768, 1.0: 17.528}}
+    run_and_compare(scenes.slit_annular_plate((10, 80)), TENTHS, reference, 0.01)
