@@ -7,7 +7,7 @@ a chunk's histories only, shows progress and hands them to the file. When `simul
 
 import contextlib
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -94,8 +94,8 @@ def simulate(
         empty = jnp.zeros(0, jnp.int32)
         tables, handle = nodal_tables(structure_of(scene)), Handle(empty, empty, empty, ())
     choices = Choices(tangent, linear_solver, save_every, scene.watch)
-    method, newton = _floats_to_arrays((method, newton))
-    run = Run(scene, method, newton, tables, handle, choices)
+    as_arrays = _floats_to_arrays((method, newton))
+    run = Run(scene, as_arrays[0], as_arrays[1], tables, handle, choices)
 
     if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, method, newton, steps))):
         if output is not None or progress:
@@ -331,7 +331,7 @@ def _expand(tree):
     return jax.tree.map(lambda a: np.asarray(a)[None], tree)
 
 
-def _floats_to_arrays(tree):
+def _floats_to_arrays(tree: Any) -> Any:
     """Python floats as arrays, so that another value compiles nothing anew."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, tree)
 

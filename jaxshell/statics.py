@@ -118,7 +118,7 @@ def solve_static(
     linear_solver = default_solver() if linear_solver is None else linear_solver
     tables, pattern = analyse(structure_of(scene))
     handle = linear_solver.prepare(pattern)
-    (newton,) = _floats_to_arrays((newton,))
+    as_arrays: Newton = _floats_to_arrays(newton)
     choices = Choices(tangent, linear_solver, save_every, scene.watch)
     if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, newton, factors))):
         if output is not None or progress:
@@ -126,10 +126,10 @@ def solve_static(
                 "output= and progress= need a run that is not traced by jax.grad, jax.vmap or jax.jit."
             )
         steps = jnp.diff(jnp.asarray(factors), prepend=0.0)
-        run = Run(proportional(scene), Static(), newton, tables, handle, choices)
+        run = Run(proportional(scene), Static(), as_arrays, tables, handle, choices)
         return eqx.tree_at(lambda s: s.scene, _traced_run(run, steps, None, Stored(), throw), scene)
     with Progress(float(factors[-1]), enabled=progress) as bar:
-        solution = _driven(scene, newton, tables, handle, choices, factors, output, bar)
+        solution = _driven(scene, as_arrays, tables, handle, choices, factors, output, bar)
     if throw and solution.message:
         raise SimulationError(solution.message, solution)
     return solution
