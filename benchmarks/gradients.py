@@ -1,0 +1,124 @@
+"""Time and memory of gradients and batches: `python benchmarks/gradients.py [gradient] [memory] [batch]`.
+
+gradient: value and gradient with respect to 960 thicknesses of the opened cap over 500 steps, against the plain run.
+memory:   the strategies of `simulate(gradients=...)` at two sizes.
+batch:    32 loads on the cap over 100 steps: a loop, `jax.vmap`, and `jax.shard_map` over two CPU devices.
+
+Wall time and processor time, each the smallest of a few repetitions, compilation left out. The figures of
+docs/gradients.md. Needs a quiet machine with two cores; some ten minutes.
+"""
+
+import os
+import subprocess
+import sys
+import time
+
+if "devices" in sys.argv:
+    os.environ["XLA_FLAGS"] = "--xla_force_host_platform_device_count=2"
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import equinox as eqx  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+
+import jaxshell as js  # noqa: E402
+from jaxshell.gradients import Checkpointed, Stored  # noqa: E402
+
+METHODS = {"EMC": js.GeneralizedEnergyMomentum(), "EnergyMomentum": js.EnergyMomentum()}
+
+
+def best(function, *arguments, repeat=3):
+    """(result, wall time, processor time), the first call left out."""
+    result = jax.block_until_ready(function(*arguments))
+    walls, processor = [], []
+    for _ in range(repeat):
+        wall, cpu = time.perf_counter(), time.process_time()
+        result = jax.block_until_ready(function(*arguments))
+        walls.append(time.perf_counter() - wall)
+        processor.append(time.process_time() - cpu)
+    return result, min(walls), min(processor)
+
+
+def deflection(scene, method, dt, steps, gradients=None):
+    """The function from thicknesses to the first watched displacement at the end."""
+    label = scene.watch[0][0]
+
+    def value(thickness):
+        varied = eqx.tree_at(lambda s: s.section.thickness, scene, thickness)
+        run = js.simulate(
+            varied, method, dt=dt, t_end=dt * steps, save_every=steps, gradients=gradients, throw=False
+        )
+        return run.watched[label][-1]
+
+    return value
+
+
+def gradient(steps=500):
+    cap = js.scenes.opened_cap()
+    thickness = jnp.full(cap.mesh.n_elements, 0.4)
+    print(f"{cap.mesh.n_elements} thicknesses of the opened cap, {steps} steps")
+    for name, method in METHODS.items():
+        plain = lambda: js.simulate(cap, method, dt=0.01, t_end=0.01 * steps, save_every=steps)  # noqa: B023, E731
+        run, plain_wall, plain_cpu = best(plain)
+        both = jax.jit(jax.value_and_grad(deflection(cap, method, 0.01, steps)))
+        (value, found), wall, cpu = best(both, thickness)
+        assert abs(value / run.watched["A"][-1] - 1) < 1e-6 and np.all(np.isfinite(found))
+        print(
+            f"{name:16s} {float(run.iterations[1:].mean()):4.2f} iterations a step   plain {plain_wall:6.2f} s ({plain_cpu:.2f})"
+            f"   value and gradient {wall:6.2f} s ({cpu:.2f})   ratio {wall / plain_wall:.2f} ({cpu / plain_cpu:.2f})",
+            flush=True,
+        )
+
+
+def memory(steps=400):
+    strategies = {
+        "Stored()": Stored(),
+        "Checkpointed()": Checkpointed(),
+        "Checkpointed(2)": Checkpointed(levels=2),
+        "Checkpointed(1, False)": Checkpointed(keep_increments=False),
+    }
+    for divisions in ((24, 5), (48, 10)):
+        cap = js.scenes.opened_cap(divisions)
+        thickness = jnp.full(cap.mesh.n_elements, 0.4)
+        print(f"opened cap of {cap.mesh.n_elements} elements, {steps} steps, EMC")
+        for name, strategy in strategies.items():
+            value = deflection(cap, METHODS["EMC"], 0.01, steps, strategy)
+            both = jax.jit(jax.value_and_grad(value)).lower(thickness).compile()
+            _, wall, cpu = best(both, thickness, repeat=2)
+            megabytes = both.memory_analysis().temp_size_in_bytes / 1e6
+            print(f"  {name:24s} {wall:6.2f} s ({cpu:.2f})   {megabytes:7.1f} MB", flush=True)
+
+
+def batch(steps=100, count=32):
+    cap = js.scenes.spherical_cap()
+    loads = jnp.linspace(0.5, 1.5, count)
+
+    def apex(load):
+        varied = eqx.tree_at(lambda s: s.loads[0].force, cap, cap.loads[0].force * load)
+        run = js.simulate(varied, METHODS["EMC"], dt=2e-6, t_end=2e-6 * steps, save_every=steps, throw=False)
+        return run.watched["apex"]
+
+    if jax.device_count() > 1:
+        spec = jax.sharding.PartitionSpec("runs")
+        mesh = jax.sharding.Mesh(np.array(jax.devices()), ("runs",))
+        spread = jax.shard_map(jax.vmap(apex), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+        _, wall, cpu = best(jax.jit(spread), loads)
+        print(f"  jax.shard_map over {jax.device_count()} devices {wall:6.2f} s ({cpu:.2f})", flush=True)
+        return
+    print(f"{count} loads on the cap of {cap.mesh.n_elements} elements, {steps} steps")
+    one, together = jax.jit(apex), jax.jit(jax.vmap(apex))
+    loop, wall, cpu = best(lambda: jnp.stack([one(load) for load in loads]))
+    print(f"  loop of compiled runs      {wall:6.2f} s ({cpu:.2f})", flush=True)
+    found, wall, cpu = best(together, loads)
+    np.testing.assert_allclose(found, loop, rtol=1e-9)
+    print(f"  jax.vmap                   {wall:6.2f} s ({cpu:.2f})", flush=True)
+    subprocess.run([sys.executable, __file__, "batch", "devices"], check=True)
+
+
+if __name__ == "__main__":
+    chosen = [name for name in ("gradient", "memory", "batch") if name in sys.argv[1:]] or ["gradient", "memory", "batch"]
+    for name in chosen:
+        {"gradient": gradient, "memory": memory, "batch": batch}[name]()
