@@ -226,12 +226,14 @@ def test_rotary_inertia_of_a_thin_shell_is_a_correction(inertia, flights):
     assert 1e-8 < error < 2e-2
 
 
-def test_autodiff_and_closed_form_give_the_same_run(flights):
-    solution = run(plate(pulse=1.0), METHODS["both"], 0.002, 1.0, tangent="autodiff")
-    reference = flights["both"]
-    np.testing.assert_array_equal(solution.iterations, reference.iterations)
-    scale = np.abs(np.asarray(reference.displacements)).max()
-    np.testing.assert_allclose(solution.displacements, reference.displacements, atol=1e-9 * scale)
+def test_autodiff_and_closed_form_give_the_same_run():
+    """With ρ∞ < 1 and ξ > 0, fifty steps to a tenth of a second."""
+    closed, autodiff = (
+        run(plate(pulse=1.0), METHODS["both"], 0.002, 0.1, tangent=tangent)
+        for tangent in ("closed_form", "autodiff")
+    )
+    scale = np.abs(np.asarray(closed.displacements)).max()
+    np.testing.assert_allclose(autodiff.displacements, closed.displacements, atol=1e-10 * scale)
 
 
 def test_work_of_a_moving_support_is_the_energy():
