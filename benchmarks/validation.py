@@ -55,16 +55,22 @@ def end_moment():
         "tip w": dict(zip(factors, exact_w, strict=True)),
     }
     meshes = [(10, 1), (20, 1), (40, 1), (40, 2)]
-    against_reference("cantilever, end moment (exact)", scenes.cantilever_end_moment, meshes, reference, tenths(0.25, 0.75))
+    against_reference(
+        "cantilever, end moment (exact)", scenes.cantilever_end_moment, meshes, reference, tenths(0.25, 0.75)
+    )
     run = js.solve_static(scenes.cantilever_end_moment((40, 1)))
-    print(f"  40×1, ten steps: iterations {np.asarray(run.iterations)[1:].tolist()}, "
-          f"tip misses the clamped end by {abs(float(run.watched['tip u'][-1]) + 12) / 12:.1e} (u) "
-          f"and {abs(float(run.watched['tip w'][-1])) / 12:.1e} (w) of the length")
+    print(
+        f"  40×1, ten steps: iterations {np.asarray(run.iterations)[1:].tolist()}, "
+        f"tip misses the clamped end by {abs(float(run.watched['tip u'][-1]) + 12) / 12:.1e} (u) "
+        f"and {abs(float(run.watched['tip w'][-1])) / 12:.1e} (w) of the length"
+    )
 
 
 def end_shear():
     reference = {"tip u": {0.5: -1.604, 1.0: -3.286}, "tip w": {0.5: 4.933, 1.0: 6.698}}
-    against_reference("cantilever, end shear", scenes.cantilever_end_shear, [(8, 1), (16, 1), (32, 1)], reference, tenths())
+    against_reference(
+        "cantilever, end shear", scenes.cantilever_end_shear, [(8, 1), (16, 1), (32, 1)], reference, tenths()
+    )
 
 
 def slit_annular_plate():
@@ -97,9 +103,7 @@ def pinched_cylinder():
 def pinched_semi_cylinder():
     reference = {"A": {0.1: -16.100, 0.3: -66.410, 0.5: -132.653, 1.0: -171.505}}
     meshes = [(16, 16), (24, 24), (32, 32), (40, 40)]
-    against_reference(
-        "pinched semi-cylinder", scenes.pinched_semi_cylinder, meshes, reference, np.arange(1, 41) / 40
-    )
+    against_reference("pinched semi-cylinder", scenes.pinched_semi_cylinder, meshes, reference, np.arange(1, 41) / 40)
 
 
 def hemisphere():
@@ -133,7 +137,9 @@ def hinged_roof():
             for point, at in zip(reference, turning, strict=False):
                 fit = np.polyfit([-1.0, 0.0, 1.0], factors[at - 1 : at + 2], 2)
                 value = np.polyval(fit, -fit[1] / (2 * fit[0]))
-                rows.append(["×".join(map(str, mesh)), value, point[0], f"{value / point[0] - 1:+.2%}", centre[at], point[1]])
+                rows.append(
+                    ["×".join(map(str, mesh)), value, point[0], f"{value / point[0] - 1:+.2%}", centre[at], point[1]]
+                )
         header = ["mesh", "limit load", "reference", "difference", "deflection", "reference"]
         table(f"hinged roof, h = {thickness}: limit loads by arc length", rows, header)
 

@@ -31,7 +31,7 @@ def _element(x, thickness, young_modulus, poisson_ratio, beta0):
 
 
 def displacements(mesh, section, held, loads, beta0=None) -> np.ndarray:
-    """(n, 6) linear displacements and rotations under nodal loads (n, 6) with the numbers `held` (6·node + dof) at zero."""
+    """(n, 6) linear displacements and rotations under nodal loads (n, 6); `held` are numbers 6·node + dof."""
     nodes, triangles = np.asarray(mesh.nodes), mesh.triangles
     nu = float(section.poisson_ratio)
     beta0 = 0.5 * (1 - 4 * nu**2) if beta0 is None else beta0

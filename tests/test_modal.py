@@ -8,10 +8,8 @@ import pytest
 
 import jaxshell as js
 from jaxshell import generators
-from jaxshell.assembly import analyse
 from jaxshell.elements.corotational import Element
 from jaxshell.modal import mass_matrix
-from jaxshell.model import Model, structure_of
 from jaxshell.rotations import exp
 from jaxshell.supports import ALL
 
@@ -38,7 +36,7 @@ def plate(divisions, held=None, **arguments):
     return js.Scene(mesh, js.Section(THICKNESS, YOUNG_MODULUS, POISSON_RATIO, DENSITY), supports, **arguments)
 
 
-def compressed_plate(divisions=4):
+def compressed_plate(divisions):
     """Simply supported, pressed along x with 1 per length: buckles at 4π²D/a²."""
     mesh = generators.rectangle(1.0, 1.0, (divisions, divisions))
     end = mesh.nodes_where(lambda x: x[0] > 1 - 1e-9)
@@ -53,8 +51,16 @@ def compressed_plate(divisions=4):
 
 
 def test_clamped_plate():
-    found = js.natural_frequencies(plate(16, ALL), 1).frequencies / UNIT
-    assert np.asarray(found) == pytest.approx(CLAMPED[:1], rel=5e-3)
+    scene = plate(16, ALL)
+    modes = js.natural_frequencies(scene, 3)
+    assert float(modes.frequencies[0]) / UNIT == pytest.approx(CLAMPED[0], rel=5e-3)
+    # The modes are orthogonal in the mass, and normalised.
+    corners = np.asarray(scene.mesh.nodes)[scene.mesh.triangles]
+    elements = jax.jit(jax.vmap(lambda x: Element.build(x, THICKNESS, 1.0, 0.3, DENSITY)))(corners)
+    R = jnp.broadcast_to(jnp.eye(3), (len(corners), 3, 3, 3))
+    M = np.asarray(jax.jit(jax.vmap(mass_matrix))(R, elements))
+    shapes = np.asarray(modes.shapes)[:, scene.mesh.triangles].reshape(3, -1, 18)
+    assert np.einsum("ami,mij,bmj->ab", shapes, M, shapes) == pytest.approx(np.eye(3), abs=1e-8)
 
 
 def test_free_plate():
@@ -74,18 +80,9 @@ def test_higher_modes_of_plates(held, exact):
     assert np.asarray(modes.frequencies) / UNIT == pytest.approx(exact, rel=5e-3)
 
 
-def test_modes_are_mass_normalised_and_count_is_checked():
-    scene = plate(4, ALL)
-    modes = js.natural_frequencies(scene, 3)
-    tables, _ = analyse(structure_of(scene))
-    model = Model.build(scene, tables)
-    R = jnp.broadcast_to(jnp.eye(3), (scene.mesh.n_nodes, 3, 3))
-    M = jax.jit(jax.vmap(mass_matrix))(model.gather(R), model.elements)
-    shapes = modes.shapes[:, tables.triangles].reshape(3, -1, 18)
-    products = jnp.einsum("ami,mij,bmj->ab", shapes, M, shapes)
-    assert np.asarray(products) == pytest.approx(np.eye(3), abs=1e-8)
+def test_bad_counts_are_refused():
     with pytest.raises(ValueError, match="count must be"):
-        js.natural_frequencies(scene, 0)
+        js.natural_frequencies(plate(4, ALL), 0)
 
 
 def test_mass_of_a_rigid_motion():
@@ -102,6 +99,7 @@ def test_mass_of_a_rigid_motion():
         assert spin @ M @ spin == pytest.approx(inertia, abs=1e-18)
 
 
+@pytest.mark.slow
 def test_a_mode_vibrates_at_its_frequency():
     """Released with a mode's velocity, the plate follows sin ω t; the trapezoidal rule makes tan(ωΔt/2) of ωΔt/2."""
     scene = plate(4, ALL)
@@ -109,7 +107,10 @@ def test_a_mode_vibrates_at_its_frequency():
     frequency, shape = float(modes.frequencies[0]), np.asarray(modes.shapes[0])
     velocity = 1e-4 * THICKNESS * 2 * np.pi * frequency / np.abs(shape).max() * shape
     moving = js.Scene(
-        scene.mesh, scene.section, scene.supports, initial=js.Initial(velocity[:, :3], velocity[:, 3:]),
+        scene.mesh,
+        scene.section,
+        scene.supports,
+        initial=js.Initial(velocity[:, :3], velocity[:, 3:]),
         watch={"middle": (12, "uz")},
     )
     dt = 1 / (40 * frequency)
@@ -119,16 +120,24 @@ def test_a_mode_vibrates_at_its_frequency():
     assert ratio == pytest.approx(np.sin(omega * np.asarray(run.times)), abs=2e-3)
 
 
-def test_buckling_and_the_frequency_that_vanishes_there():
-    """N = 4π²D/a²; under a part p of it the square of the frequency falls by the factor 1 - p."""
-    scene = compressed_plate()
+def test_buckling_of_a_compressed_plate():
+    """N = 4π²D/a² (Bryan); 3.5 % above it on 4×4 cells, 0.7 % on 12×12."""
+    scene = compressed_plate(4)
     buckling = js.linear_buckling(scene, 2)
-    theory = 4 * np.pi**2 * RIGIDITY
-    assert float(buckling.load_factors[0]) == pytest.approx(theory, rel=0.05)
-    assert np.abs(np.asarray(buckling.shapes[0, :, 2])).max() == pytest.approx(1)
-    assert int(np.argmax(np.abs(np.asarray(buckling.shapes[0, :, 2])))) == scene.mesh.nearest_node([0.5, 0.5, 0])
+    assert float(buckling.load_factors[0]) == pytest.approx(4 * np.pi**2 * RIGIDITY, rel=0.04)
+    middle = scene.mesh.nearest_node([0.5, 0.5, 0])
+    assert np.abs(np.asarray(buckling.shapes[0, :, 2])).argmax() == middle
+    assert float(jnp.abs(buckling.shapes[0, middle, 2])) == pytest.approx(1)
+
+
+@pytest.mark.slow
+def test_the_frequency_vanishes_where_the_plate_buckles():
+    """Under a part p of the buckling load the square of the frequency falls by the factor 1 - p."""
+    scene = compressed_plate(12)
+    critical = js.linear_buckling(scene, 1).load_factors
+    assert float(critical[0]) == pytest.approx(4 * np.pi**2 * RIGIDITY, rel=0.01)
     unloaded = js.natural_frequencies(scene, 1).frequencies[0]
-    pressed = js.solve_static(scene, 0.5 * buckling.load_factors[:1])
+    pressed = js.solve_static(scene, 0.5 * critical)
     loaded = js.natural_frequencies(scene, 1, about=pressed).frequencies[0]
     assert float((loaded / unloaded) ** 2) == pytest.approx(0.5, abs=2e-3)
 
@@ -148,6 +157,7 @@ def derivative_case():
     return frequency, h, (frequency(h + step) - frequency(h - step)) / (2 * step)
 
 
+@pytest.mark.slow
 def test_gradient_of_a_frequency():
     frequency, h, expected = derivative_case()
     assert float(jax.grad(frequency)(h)) == pytest.approx(float(expected), rel=1e-6)
