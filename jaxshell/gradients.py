@@ -108,7 +108,7 @@ def scan_steps(gradients: Gradients, step: Callable, frame: Callable, carry, ste
     if whole:
         grouped = jax.tree.map(lambda a: a[: whole * save_every].reshape(whole, save_every), steps)
         carry, (records, frames) = _nested(one_frame, carry, grouped, across, gradients.outer_policy)
-        parts.append((jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), records), frames))
+        parts.append((jax.tree.map(merge, records), frames))
     if whole * save_every < count:
         rest = jax.tree.map(lambda a: a[whole * save_every :], steps)
         carry, (records, last) = one_frame(carry, rest)
@@ -129,7 +129,7 @@ def _nested(body: Callable, carry, xs, lengths: list[int], policy: Callable):
     whole = count // length
     grouped = jax.tree.map(lambda a: a[: whole * length].reshape(whole, length, *a.shape[1:]), xs)
     carry, ys = jax.lax.scan(segment, carry, grouped)
-    ys = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), ys)
+    ys = jax.tree.map(merge, ys)
     if whole * length < count:
         carry, rest = segment(carry, jax.tree.map(lambda a: a[whole * length :], xs))
         ys = jax.tree.map(lambda *a: jnp.concatenate(a), ys, rest)
@@ -143,6 +143,11 @@ def _near_divisor(count: int, wanted: int) -> int:
     """
     divisors = [d for d in range(max(1, -(-wanted // 2)), min(count, 2 * wanted) + 1) if count % d == 0]
     return min(divisors, key=lambda d: abs(np.log(d / wanted)), default=min(wanted, count))
+
+
+def merge(array):
+    """The first two axes as one, also where others are empty (a scene that watches nothing)."""
+    return array.reshape(array.shape[0] * array.shape[1], *array.shape[2:])
 
 
 def _length(tree) -> int:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxshell.assembly import Tables
-from jaxshell.gradients import Gradients, scan_steps
+from jaxshell.gradients import Gradients, merge, scan_steps
 from jaxshell.linear_solver import Handle, LinearSolver
 from jaxshell.methods.base import Method, Observation, Solvers
 from jaxshell.model import Model
@@ -101,7 +101,7 @@ def run(model: Model, method: Method, newton: Newton, handle: Handle, choices: C
         return carry, (records, frame(model, carry.state))
 
     carry, (records, frames) = jax.lax.scan(one_frame, carry, steps)
-    return carry, jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), records), frames
+    return carry, jax.tree.map(merge, records), frames
 
 
 def record(model, method, state, choices: Choices, iterations, factorizations, done) -> Record:

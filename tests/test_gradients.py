@@ -13,7 +13,7 @@ from sensitivity import DT, STEPS, check_derivatives, measure, parameters, shell
 
 import jaxshell as js
 from jaxshell.batching import one_by_one
-from jaxshell.gradients import Checkpointed, _near_divisor
+from jaxshell.gradients import Checkpointed, Stored, _near_divisor, keep, scan_steps
 
 # Tight, so that differences see round-off only.
 NEWTON = js.Newton(tolerance=1e-13)
@@ -93,3 +93,24 @@ def test_checkpointed_checks_its_input_and_splits_evenly():
     assert Checkpointed(levels=2).segments(1000) == (10, 100)
     assert _near_divisor(500, 22) == 20
     assert _near_divisor(97, 10) == 10
+
+
+@pytest.mark.parametrize("save_every", [1, 7, 50])
+@pytest.mark.parametrize("kept", [Checkpointed(), Checkpointed(2), Checkpointed(3), Checkpointed(1, False)])
+def test_strategies_and_frames_change_nothing(kept, save_every):
+    """On a scalar: steps that do not fill the frames, frames that do not fill the segments, an empty record."""
+    steps = jnp.linspace(0.01, 0.02, 53)
+
+    def step(x, dt):
+        increment = keep(dt * jnp.sin(x))
+        return x + increment, (x, jnp.zeros(0))
+
+    def value(start, strategy):
+        end, records, frames = scan_steps(strategy, step, lambda x: x**2, start, steps, save_every)
+        assert records[0].shape == (53,) and records[1].shape == (53, 0)
+        assert frames.shape == (-(-53 // save_every),)
+        return end + jnp.sum(records[0] * jnp.arange(53)) + jnp.sum(frames)
+
+    expected = jax.value_and_grad(value)(1.0, Stored())
+    found = jax.value_and_grad(value)(1.0, kept)
+    np.testing.assert_allclose(found, expected, rtol=1e-13)
