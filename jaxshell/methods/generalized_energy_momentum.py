@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from jaxshell.checks import check_finite, is_concrete
 from jaxshell.elements import corotational, inertia
 from jaxshell.elements.corotational import Element, Kinematics
-from jaxshell.elements.inertia import PointStart, Spins, StepFactors
+from jaxshell.elements.inertia import Spins, StepFactors
 from jaxshell.methods import predictor, seven_point, traditional
 from jaxshell.methods.base import Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
