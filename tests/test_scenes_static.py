@@ -60,3 +60,23 @@ def test_slit_annular_plate():
     """Sze, Liu & Lo 2004, table 3."""
     reference = {"A": {0.5: 10.468, 1.0: 13.891}, "B": {0.5: 13.768, 1.0: 17.528}}
     run_and_compare(scenes.slit_annular_plate((10, 80)), TENTHS, reference, 0.01)
+
+
+@pytest.mark.slow
+def test_pinched_semi_cylinder():
+    """Sze, Liu & Lo 2004, table 7. At a tenth of the load the curve is steep and the mesh still 3 % stiff."""
+    reference = {"A": {0.3: -66.410, 0.5: -132.653, 1.0: -171.505}}
+    run_and_compare(scenes.pinched_semi_cylinder((24, 24)), FORTIETHS, reference, 0.01)
+
+
+@pytest.mark.slow
+def test_hemisphere():
+    """Abaqus, element STRI3, quarter model under 100."""
+    run_and_compare(scenes.hemisphere((32, 32)), TENTHS, {"inward": {1.0: -5.91}, "outward": {1.0: 3.38}}, 0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("load", "tip"), [("in-plane", 5.424e-3), ("out-of-plane", 1.754e-3)])
+def test_twisted_beam(load, tip):
+    """MacNeal & Harder 1985."""
+    run_and_compare(scenes.twisted_beam((24, 4), load), [1.0], {"tip": {1.0: tip}}, 0.01)
