@@ -164,9 +164,53 @@ def plates():
         table(f"square plate, {name}: ω a² (ρh/D)^½", rows, ["mesh", *(f"mode {k + 1}" for k in range(len(exact)))])
 
 
+def first_edge():
+    """Each triangle's nodes in the three cyclic orders: the spread of an answer over them, and over the meshes."""
+
+    def sheared(mesh):
+        """A square held in its plane at x = 0 and moved by 1 along y at x = 1, the load factor being the mean shear."""
+        square = generators.rectangle(1.0, 1.0, mesh)
+        x = np.asarray(square.nodes)[:, 0]
+        ends = {0.0: np.flatnonzero(x < 1e-9), 1.0: np.flatnonzero(x > 1 - 1e-9)}
+        supports = [
+            js.Support(nodes, ("ux", "uy"), displacement=[0.0, moved], history=js.History.ramp(1.0))
+            for moved, nodes in ends.items()
+        ]
+        flat = js.Support(np.arange(x.size), ("uz", "rx", "ry"))
+        return js.Scene(square, js.Section(0.05, 1.0, 0.3, 1.0), (*supports, flat))
+
+    def watched(label):
+        return lambda run: float(run.watched[label][-1])
+
+    def energy(run):
+        return float(run.energy.strain[-1])
+
+    problems = [
+        ("twisted beam, F = 400", scenes.twisted_beam, [(6, 1), (12, 2), (24, 4)], [200.0, 400.0], watched("tip")),
+        ("slit annular plate", scenes.slit_annular_plate, [(3, 15), (6, 30), (12, 60)], tenths(), watched("B")),
+        ("hemisphere", scenes.hemisphere, [(8, 8), (16, 16), (32, 32)], np.arange(1, 6) / 5, watched("inward")),
+        ("square sheared by 0.02", sheared, [(4, 4), (8, 8), (16, 16), (32, 32)], [0.02], energy),
+        ("square sheared by 0.2", sheared, [(4, 4), (8, 8), (16, 16), (32, 32)], [0.1, 0.2], energy),
+    ]
+    for name, scene_of, meshes, factors, answer in problems:
+        rows, last = [], None
+        for mesh in meshes:
+            scene, found = scene_of(mesh), []
+            for shift in range(3):
+                turned = js.Mesh(scene.mesh.nodes, np.roll(scene.mesh.triangles, -shift, axis=1))
+                watch = {label: (node, component) for label, node, component in scene.watch}
+                run = js.solve_static(js.Scene(turned, scene.section, scene.supports, scene.loads, watch=watch), factors)
+                found.append(answer(run))
+            change = "" if last is None else f"{abs(found[0] - last) / abs(found[0]):.1e}"
+            spread = f"{np.ptp(found) / abs(found[0]):.1e}"
+            rows.append(["×".join(map(str, mesh)), *(f"{value:.6g}" for value in found), spread, change])
+            last = found[0]
+        table(f"which edge is 1-2: {name}", rows, ["mesh", "first", "second", "third", "spread", "from coarser"])
+
+
 STUDIES = (
     end_moment, end_shear, slit_annular_plate, cylinder_pull_out, pinched_cylinder, pinched_semi_cylinder,
-    hemisphere, twisted_beam, hinged_roof, plates,
+    hemisphere, twisted_beam, hinged_roof, plates, first_edge,
 )  # fmt: skip
 
 if __name__ == "__main__":
