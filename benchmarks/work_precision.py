@@ -2,10 +2,9 @@
 
 jaxshell's points are those of `jaxshell chart`, in a process pinned to one core. Peers have elements and inertia
 of their own, so their error is taken against their own answer, refined in time and extrapolated (the lower curve
-that they could reach), and their distance from jaxshell's converged answer is recorded as "model". A third
-panel's figures, error against the number of elements, come with --meshes: each mesh at a step that its halving
-shows to be fine, against the finest. Writes benchmarks/results/work_precision_SCENE.json, and the pictures to
-docs/pictures.
+that they could reach), and their distance from jaxshell's converged answer is recorded as "model". The third
+panel is the number of elements: EMC at the scene's step, the distance from the finest mesh's answer. Writes
+benchmarks/results/work_precision_SCENE.json, and the pictures to docs/pictures.
 """
 
 import argparse
@@ -29,7 +28,7 @@ jax.config.update("jax_enable_x64", True)
 from benchmarks.cases import SCENES, write_case  # noqa: E402
 from benchmarks.workers import HERE, Worker, machine  # noqa: E402
 from jaxshell import references  # noqa: E402
-from jaxshell.chart import Point, chart, draw, reference_of, write_points  # noqa: E402
+from jaxshell.chart import Point, chart, draw, mesh_points, reference_of, write_points  # noqa: E402
 from jaxshell.references import Reference, agreement, extrapolate  # noqa: E402
 
 TITLES = {"cap": "Clamped cap", "opened_cap": "Top-opened cap", "plate": "Free plate", "tiny": "Tiny cap"}
@@ -98,6 +97,7 @@ def main() -> int:
         reference = reference_of(scene, dt, window, 1e-4)
         file = options.results / f"work_precision_{name}.json"
         points, reference = chart(scene, dt, window, reference=reference)
+        points += mesh_points(SCENES[name], dt, float(reference.times[-1]))
         write_points(file, scene, points, reference)
         peers = []
         if options.peers:

@@ -3,8 +3,10 @@
 Trials against a converged reference (`jaxshell.references`), over the reference's window:
 1. methods, each at the largest step of a halving sequence that meets the tolerance, given up as soon as it is
    dearer than the best so far;
+   Step control in the same way, over its tolerance;
 2. physics that the answer does not feel: rotary inertia, compared at equal step;
-3. for the winner: a looser Newton tolerance, and factors kept over iterations and steps.
+3. for the winner: a looser Newton tolerance, and factors kept over iterations and steps;
+4. for scenes of the library: fewer elements, where the answer stays within the tolerance; and what more would change.
 """
 
 from collections.abc import Callable
@@ -13,11 +15,21 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxshell import methods
-from jaxshell.chart import Configuration, Point, default_window, measure, reference_of, timed
+from jaxshell.chart import (
+    Configuration,
+    Point,
+    controlled,
+    default_window,
+    divided,
+    measure,
+    reference_of,
+    timed,
+)
 from jaxshell.newton import Newton
 from jaxshell.references import Reference, signal_error, signals
 from jaxshell.scene import Scene
 from jaxshell.solution import Solution
+from jaxshell.step_control import StepControl
 
 _MARGIN = 0.8
 """Part of the tolerance that a configuration may use: the reference and the window are not everything."""
@@ -36,6 +48,8 @@ class Advice(NamedTuple):
     tolerance: float
     met: bool
     """Whether anything tried met the tolerance; else `best` is the most accurate."""
+    divisions: int | tuple[int, ...] | None = None
+    """Fewer divisions of a library scene's mesh that suffice; None for its own."""
 
 
 def advise(
@@ -45,6 +59,7 @@ def advise(
     t_end: float | None = None,
     say: Callable[[str], None] = print,
     reference: Reference | None = None,
+    make: Callable[..., Scene] | None = None,
 ) -> Advice:
     """The cheapest configuration whose answer is within `tolerance` of the converged one.
 
@@ -53,6 +68,7 @@ def advise(
         dt: step from which trials start, up and down.
         t_end: time that trials cover; default: a shipped reference's whole window, else 100 dt.
         say: told each trial. reference: instead of the shipped or a new one.
+        make: the function of the library that made the scene; other meshes of it are tried by its `divisions`.
 
     Raises ValueError for a tolerance out of range, or when the scene does not run at any step.
     """
@@ -69,15 +85,17 @@ def advise(
     search = _Search(scene, reference, goal, say)
     for label, method in candidates():
         search.try_method(label, method, dt)
+    search.try_step_control(dt)
     if search.best is None:
         point, best = min(search.tried, key=lambda pair: (pair[0].error, pair[0].seconds))
         reasons = [f"Nothing tried meets {tolerance:g}; the most accurate has an error of {point.error:.1e}"]
         return Advice(best, point, reasons, search.points, reference, tolerance, False)
     reasons = search.method_reasons()
     reasons += search.refine_newton()
+    more, divisions = search.other_meshes(make) if make is not None else ([], None)
     assert search.best is not None
     point, best = search.best
-    return Advice(best, point, reasons, search.points, reference, tolerance, True)
+    return Advice(best, point, reasons + more, search.points, reference, tolerance, True, divisions)
 
 
 def candidates() -> list[tuple[str, methods.Method]]:
@@ -106,9 +124,9 @@ class _Search:
     def points(self) -> list[Point]:
         return [point for point, _ in self.tried]
 
-    def attempt(self, configuration: Configuration) -> Point:
+    def attempt(self, configuration: Configuration, scene: Scene | None = None) -> Point:
         """Measure, remember, and keep it when it is the cheapest that meets the goal."""
-        point = measure(self.scene, configuration, self.reference)
+        point = measure(self.scene if scene is None else scene, configuration, self.reference)
         self.tried.append((point, configuration))
         self.say(
             f"  {point.label}, dt = {point.dt:.3g}: error {point.error:.1e}, {point.seconds:.3g} s"
@@ -155,6 +173,46 @@ class _Search:
             last = point.error
         self.given_up[label] = f"at dt = {dt:.3g} its error is still {point.error:.1e}"
 
+    def try_step_control(self, dt: float) -> None:
+        """The largest tolerance of the local error that meets the goal, while it can still pay."""
+        for tolerance in (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5):
+            tried = controlled(tolerance, dt, float(self.reference.times[-1]))
+            point = self.attempt(tried)
+            if point.error <= self.goal:
+                return
+            if self.best is not None and point.seconds > self.best[0].seconds:
+                self.given_up[tried.label] = (
+                    f"with {point.steps} steps its error is {point.error:.1e} and it is no cheaper"
+                )
+                return
+
+    def other_meshes(self, make: Callable[..., Scene]) -> tuple[list[str], int | tuple[int, ...] | None]:
+        """Coarser meshes while they meet the goal and pay, and what a finer one changes: (reasons, divisions)."""
+        assert self.best is not None
+        reasons, divisions, winner = [], None, self.best
+        for factor in (0.8, 0.6, 0.5):
+            count = divided(make, factor)
+            coarse, before = make(divisions=count), self.best
+            label = f"{winner[0].label}, {coarse.mesh.n_elements} triangles"
+            point = self.attempt(winner[1]._replace(kind="mesh", label=label), coarse)
+            said = f"{coarse.mesh.n_elements} triangles (divisions {_plain(count)})"
+            if self.best is before:
+                reasons.append(f"{said} are not enough: error {point.error:.1e}")
+                break
+            reasons.append(f"{said} are enough: error {point.error:.1e}")
+            divisions = count
+        finer = make(divisions=divided(make, 1.5))
+        t_end = float(self.reference.times[-1])
+        runs = [timed(scene, winner[1], t_end)[0] for scene in (self.scene, finer)]
+        if not any(run.message for run in runs):
+            times, found = zip(*((np.asarray(r.frame_times), _signals(r)) for r in runs), strict=True)
+            change = signal_error(Reference(times[1], dict(found[1]), 0.0, ""), times[0], found[0])
+            reasons.append(
+                f"{finer.mesh.n_elements} triangles would change the answer by {change:.1e}: the mesh's own error, "
+                "which the tolerance does not speak of"
+            )
+        return reasons, divisions
+
     def _seconds_per_step(self, explicit: bool) -> float:
         """A first guess from implicit trials: an explicit step costs about a tenth."""
         rates = [p.seconds / p.steps for p in self.points if p.steps]
@@ -168,6 +226,9 @@ class _Search:
             f"{point.label} at dt = {point.dt:.3g} has an error of {point.error:.1e} and takes {point.seconds:.3g} s"
         ]
         larger = [p for p in self.points if p.label == point.label and p.dt > 1.01 * point.dt]
+        if isinstance(best.dt, StepControl):
+            larger = []
+            reasons[0] += f", step control with a tolerance of {float(best.dt.tolerance):g}"
         if larger:
             nearest = min(larger, key=lambda p: p.dt)
             reasons.append(f"dt = {nearest.dt:.3g} would miss: error {nearest.error:.1e}")
@@ -235,6 +296,15 @@ def inertia_change(scene: Scene, configuration: Configuration, reference: Refere
     return signal_error(base, base.times, signals(scene, np.asarray(without.displacements)))
 
 
+def _signals(run: Solution):
+    return signals(run.scene, np.asarray(run.displacements))
+
+
+def _plain(divisions) -> str:
+    """Divisions as the command line wants them."""
+    return " ".join(map(str, np.atleast_1d(divisions).tolist()))
+
+
 def _with_inertia(method, form: str):
     return methods.GeneralizedEnergyMomentum(method.spectral_radius, method.dissipation, inertia=form)
 
@@ -255,9 +325,11 @@ def describe(scene: Scene, advice: Advice) -> str:
         lines.append(f"  What happens after t = {window:.4g} was not tried.")
     lines += [
         "Use",
-        f"  js.simulate(scene, js.{method_text(advice.best.method)}, dt={advice.best.dt:.6g}, "
+        f"  js.simulate(scene, js.{method_text(advice.best.method)}, dt={_step_text(advice.best)}, "
         f"t_end=...{_newton_text(advice.best)})",
     ]
+    if advice.divisions is not None:
+        lines[-1] += f" with scene = ...(divisions={advice.divisions!r})"
     return "\n".join(lines)
 
 
@@ -270,7 +342,13 @@ def command_line(scene: str, advice: Advice) -> str:
             parts.append(f"--spectral-radius {float(method.spectral_radius):g}")
         if method.inertia != "seven_point":
             parts.append(f"--inertia {method.inertia}")
-    parts.append(f"--dt {advice.best.dt:.6g}")
+    dt = advice.best.dt
+    if isinstance(dt, StepControl):
+        parts.append(f"--dt {float(dt.initial):.6g} --step-tolerance {float(dt.tolerance):g}")
+    else:
+        parts.append(f"--dt {dt:.6g}")
+    if advice.divisions is not None:
+        parts.append(f"--divisions {_plain(advice.divisions)}")
     if float(newton.tolerance) != float(Newton().tolerance):
         parts.append(f"--newton-tolerance {float(newton.tolerance):g}")
     if newton.reuse:
@@ -289,7 +367,12 @@ def run_section(scene: Scene, advice: Advice) -> str:
             f"dissipation = {float(method.dissipation):g}",
             f'inertia = "{method.inertia}"',
         ]
-    lines += [f"dt = {advice.best.dt:.6g}", f"t_end = {t_end:.6g}"]
+    dt = advice.best.dt
+    if isinstance(dt, StepControl):
+        lines += [f"dt = {float(dt.initial):.6g}", f"step_tolerance = {float(dt.tolerance):g}"]
+    else:
+        lines.append(f"dt = {dt:.6g}")
+    lines.append(f"t_end = {t_end:.6g}")
     newton = advice.best.newton
     if float(newton.tolerance) != float(Newton().tolerance):
         lines.append(f"newton_tolerance = {float(newton.tolerance):g}")
@@ -312,6 +395,13 @@ def method_text(method: methods.Method) -> str:
         if (value := getattr(method, name)) != getattr(default, name)
     ]
     return f"{type(method).__name__}({', '.join(parts)})"
+
+
+def _step_text(configuration: Configuration) -> str:
+    dt = configuration.dt
+    if isinstance(dt, StepControl):
+        return f"js.StepControl({float(dt.tolerance):g}, initial={float(dt.initial):.6g})"
+    return f"{dt:.6g}"
 
 
 def _newton_text(configuration: Configuration) -> str:

@@ -1,9 +1,11 @@
 """Work against precision: a scene run by every choice a user has, error against time, and the best of them.
 
-`measure` runs one configuration and sets it against a reference; `configurations` lists the choices; `draw` makes
-the picture. `jaxshell chart SCENE` does all three, `jaxshell.advise` uses the first.
+`measure` runs one configuration and sets it against a reference; `configurations` lists the choices; `mesh_points`
+does the same for the number of elements; `draw` makes the picture. `jaxshell chart SCENE` does all of it,
+`jaxshell.advise` uses the first.
 """
 
+import inspect
 import json
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -15,10 +17,19 @@ import numpy as np
 from jaxshell import methods
 from jaxshell.linear_solver import KLU, Dense, LinearSolver, default_solver
 from jaxshell.newton import Newton
-from jaxshell.references import Reference, agreement, extrapolate, run_error, shipped_reference, signals
+from jaxshell.references import (
+    Reference,
+    agreement,
+    extrapolate,
+    run_error,
+    shipped_reference,
+    signal_error,
+    signals,
+)
 from jaxshell.scene import Scene
 from jaxshell.simulate import simulate
 from jaxshell.solution import Solution
+from jaxshell.step_control import StepControl
 
 TRIAL_STEPS = 100
 """Default steps that trials cover in scenes without a shipped reference."""
@@ -26,16 +37,20 @@ _LONG_ENOUGH = 0.5
 """A run of so many seconds is timed once, a shorter one three times."""
 _DENSE_UNKNOWNS = 500
 """Dense factorization is not worth trying above."""
+_FRAMES = 25
+"""Times at which a run under step control is compared: it lands on each."""
+_MESHES = (0.4, 0.6, 1.0, 1.6, 2.5)
+"""Divisions of a mesh study over the scene's own; the last is what the others are compared with."""
 
 
 class Configuration(NamedTuple):
     """One way to run a scene."""
 
     kind: str
-    """What is varied: "method", "tangent", "inertia", "newton", "linear solver", "explicit"."""
+    """What is varied: "method", "step control", "tangent", "inertia", "newton", "linear solver", "mesh"."""
     label: str
     method: methods.Method
-    dt: float
+    dt: float | StepControl
     newton: Newton = Newton()
     tangent: str = "closed_form"
     linear_solver: LinearSolver | None = None
@@ -47,6 +62,7 @@ class Point(NamedTuple):
     kind: str
     label: str
     dt: float
+    """Under step control: the mean step."""
     seconds: float
     error: float
     steps: int
@@ -56,16 +72,13 @@ class Point(NamedTuple):
 def measure(scene: Scene, tried: Configuration, reference: Reference, t_end: float | None = None) -> Point:
     """Run `scene` over the reference's window: warm time [s] and error. A failed run's error is infinite."""
     run, seconds = timed(scene, tried, float(reference.times[-1]) if t_end is None else t_end)
-    error = np.inf if run.message else run_error(reference, run)
-    return Point(
-        tried.kind,
-        tried.label,
-        tried.dt,
-        seconds,
-        error,
-        int(run.stats["steps"]),
-        int(run.stats["iterations"]),
-    )
+    return _point(tried, run, seconds, np.inf if run.message else run_error(reference, run))
+
+
+def _point(tried: Configuration, run: Solution, seconds: float, error: float) -> Point:
+    steps, iterations = int(run.stats["steps"]), int(run.stats["iterations"])
+    dt = float(run.times[-1]) / max(1, steps) if isinstance(tried.dt, StepControl) else tried.dt
+    return Point(tried.kind, tried.label, dt, seconds, error, steps, iterations)
 
 
 def timed(scene: Scene, tried: Configuration, t_end: float) -> tuple[Solution, float]:
@@ -86,7 +99,7 @@ def timed(scene: Scene, tried: Configuration, t_end: float) -> tuple[Solution, f
         return solution, time.perf_counter() - begun
 
     # As many steps as a chunk has compile the program that a longer run uses.
-    go(min(t_end, 50 * tried.dt))
+    go(t_end if isinstance(tried.dt, StepControl) else min(t_end, 50 * tried.dt))
     solution, seconds = go(t_end)
     if seconds < _LONG_ENOUGH:
         seconds = sorted([seconds, go(t_end)[1], go(t_end)[1]])[1]
@@ -147,8 +160,15 @@ def default_window(scene: Scene, dt: float, t_end: float | None) -> float:
     return TRIAL_STEPS * dt if shipped_reference(scene) is None else np.inf
 
 
-def configurations(scene: Scene, dt: float) -> list[Configuration]:
-    """Every choice: methods over steps, and at the step dt tangents, inertia, Newton variants, linear solvers."""
+def controlled(tolerance: float, dt: float, t_end: float) -> Configuration:
+    """The exact scheme under step control, started with dt."""
+    control = StepControl(tolerance, initial=dt, output_interval=t_end / _FRAMES)
+    return Configuration("step control", "exact, step control", methods.EnergyMomentum(), control)
+
+
+def configurations(scene: Scene, dt: float, t_end: float) -> list[Configuration]:
+    """Every choice: methods over steps, step control over its tolerance up to t_end; and at the step dt tangents,
+    inertia, Newton variants, linear solvers."""
     gem = methods.GeneralizedEnergyMomentum
     found = []
     for label, method in (
@@ -164,6 +184,7 @@ def configurations(scene: Scene, dt: float) -> list[Configuration]:
     explicit = methods.CentralDifference()
     critical = explicit.critical_step(scene)
     found += [Configuration("method", "central differences", explicit, critical / 2**k) for k in (0, 1)]
+    found += [controlled(tolerance, dt, t_end) for tolerance in (1e-3, 1e-4, 1e-5, 1e-6)]
     for inertia, label in (("traditional", "traditional inertia"), ("none", "no rotary inertia")):
         found.append(Configuration("inertia", label, gem(inertia=inertia), dt))
     found.append(Configuration("tangent", "tangent by autodiff", gem(), dt, tangent="autodiff"))
@@ -189,11 +210,11 @@ def chart(
     """Measure `tried` (default: `configurations`) one after the other."""
     reference = reference_of(scene, dt, t_end, 1e-4, say) if reference is None else reference
     points = []
-    for configuration in configurations(scene, dt) if tried is None else tried:
+    for configuration in configurations(scene, dt, float(reference.times[-1])) if tried is None else tried:
         try:
             points.append(measure(scene, configuration, reference))
         except (ImportError, ValueError) as error:
-            say(f"  {configuration.label}, dt = {configuration.dt:.3g}: {error}")
+            say(f"  {configuration.label}: {error}")
             continue
         point = points[-1]
         say(
@@ -201,6 +222,37 @@ def chart(
             f"  {point.iterations / max(1, point.steps):.2f} iterations a step"
         )
     return points, reference
+
+
+def divided(make: Callable, factor: float):
+    """A library scene's default `divisions` times `factor`."""
+    default = inspect.signature(make).parameters["divisions"].default
+    scaled = [max(1, round(factor * count)) for count in np.atleast_1d(default).tolist()]
+    return tuple(scaled) if isinstance(default, tuple) else scaled[0]
+
+
+def mesh_points(make: Callable, dt: float, t_end: float, say: Callable = print) -> list[Point]:
+    """A library scene on coarser and finer meshes, EMC at the step dt: the distance of its answer from the finest's.
+
+    `make(divisions=...)` makes the scene. The step's own error, common to all, does not count.
+    """
+    runs = []
+    for factor in _MESHES:
+        scene = make(divisions=divided(make, factor))
+        label = f"{scene.mesh.n_elements} triangles"
+        tried = Configuration("mesh", label, methods.GeneralizedEnergyMomentum(), dt)
+        run, seconds = timed(scene, tried, t_end)
+        if run.message:
+            say(f"  {label}: {run.message}")
+            continue
+        runs.append((tried, run, seconds, signals(scene, np.asarray(run.displacements))))
+    *coarser, finest = runs
+    answer = Reference(np.asarray(finest[1].frame_times), dict(finest[3]), 0.0, "the finest mesh")
+    points = []
+    for tried, run, seconds, found in coarser:
+        points.append(_point(tried, run, seconds, signal_error(answer, np.asarray(run.frame_times), found)))
+        say(f"  {tried.label:24} is {points[-1].error:.1e} from {finest[0].label}  {seconds:8.3f} s")
+    return points
 
 
 def write_points(path: Path, scene: Scene, points: Sequence[Point], reference: Reference) -> None:
@@ -226,17 +278,24 @@ def pareto(points: Iterable[Point]) -> list[Point]:
 
 
 def draw(title: str, points: Sequence[Point], peers: Sequence[Point] = (), floor: float = 0.0):
-    """Figure: left, methods over step sizes, and peers; right, the other choices at one step. Front in grey."""
+    """Figure: methods over step sizes and peers; other choices at one step; meshes, if any. Pareto front in grey."""
     import matplotlib
     from matplotlib.figure import Figure
 
     from jaxshell.plotting.style import COLOURS, DASHES, STYLE, WIDTH
 
     markers = "os^DvPX<>*hd"
+    meshes = [p for p in points if p.kind == "mesh"]
+    points = [p for p in points if p.kind != "mesh"]
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
-        left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+        figure = Figure(figsize=(WIDTH * (1.4 if meshes else 1.0), 4.6), layout="constrained")
+        left, right, *third = figure.subplots(1, 3 if meshes else 2, sharex=True, sharey=True)
         front = pareto(points)
+        for axes in third:
+            _line(axes, meshes, COLOURS[0], "-", "o", "EMC")
+            for point in meshes:
+                axes.annotate(point.label, (point.seconds, point.error), (4, 4), textcoords="offset points", fontsize=7)
+            axes.set(title="Meshes, against the finest", xlabel="Time of the run in s")
         for axes in (left, right):
             axes.plot(
                 [p.seconds for p in front], [p.error for p in front], color="0.8", linewidth=6, zorder=0,
@@ -247,7 +306,8 @@ def draw(title: str, points: Sequence[Point], peers: Sequence[Point] = (), floor
                     floor, color="0.5", linewidth=0.8, linestyle=":", label="reference's uncertainty"
                 )
             axes.set(xscale="log", yscale="log", xlabel="Time of the run in s")
-        methods_ = list(dict.fromkeys(p.label for p in points if p.kind == "method"))
+        over_steps = ("method", "step control")
+        methods_ = list(dict.fromkeys(p.label for p in points if p.kind in over_steps))
         for k, label in enumerate(methods_):
             _line(
                 left,
@@ -262,7 +322,7 @@ def draw(title: str, points: Sequence[Point], peers: Sequence[Point] = (), floor
             _line(left, own, "black", DASHES[k % 7], markers[-1 - k], label, hollow=True)
         base = [p for p in points if p.kind == "method" and p.label == methods_[0]] if methods_ else []
         _line(right, base, COLOURS[0], "-", markers[0], methods_[0] if methods_ else "")
-        others = [p for p in points if p.kind != "method"]
+        others = [p for p in points if p.kind not in over_steps]
         for k, point in enumerate(others):
             _line(right, [point], COLOURS[(k + 1) % 7], "", markers[(k + 1) % len(markers)], point.label)
         left.set_ylabel("Largest error of the answer")

@@ -6,6 +6,7 @@ by the keyboard. JAX and matplotlib are imported when a command needs them, and 
 
 import argparse
 import dataclasses
+import inspect
 import itertools
 import os
 import sys
@@ -48,6 +49,15 @@ def _parser() -> argparse.ArgumentParser:
         "several are drawn together (default: EMC)",
     )
     run.add_argument("--dt", type=float, help="time step (default: the scene's)")
+    run.add_argument(
+        "--step-tolerance",
+        type=float,
+        metavar="TOL",
+        help="choose the steps by their local error, as a part of the shell's size; --dt is the first",
+    )
+    run.add_argument(
+        "--divisions", type=int, nargs="+", metavar="N", help="divisions of the mesh (library scenes only)"
+    )
     run.add_argument("--t-end", type=float, help="duration (default: the scene's)")
     run.add_argument(
         "--save-every", type=int, metavar="N", help="steps between frames (default: the scene's)"
@@ -121,8 +131,9 @@ def _run(options: argparse.Namespace) -> int:
     from jaxshell.report import describe_run, describe_scene
     from jaxshell.simulate import simulate
     from jaxshell.solution import RESULTS
+    from jaxshell.step_control import StepControl
 
-    scene, settings, stem = _open_scene(options.scene)
+    scene, settings, stem = _open_scene(options.scene, options.divisions)
     names = options.method or settings.get("method", [])
     names = [names] if isinstance(names, str) else names
     given = [getattr(options, key) for key in ("spectral_radius", "dissipation")]
@@ -139,6 +150,9 @@ def _run(options: argparse.Namespace) -> int:
         methods = choose_methods(scene, names, *given)
     dt, t_end = (_wanted(options, settings, scene, key) for key in ("dt", "t_end"))
     save_every = _wanted(options, settings, scene, "save_every")
+    step_tolerance = options.step_tolerance or settings.get("step_tolerance")
+    if step_tolerance is not None:
+        dt = StepControl(step_tolerance, initial=dt)
     tangent = options.tangent or settings.get("tangent", "closed_form")
     methods = {label: _with_inertia(label, method, options, settings) for label, method in methods.items()}
     newton = _newton(options, settings)
@@ -204,13 +218,16 @@ def _plot(options: argparse.Namespace) -> int:
 
 def _chart(options: argparse.Namespace) -> int:
     _prepare_jax()
-    from jaxshell.chart import chart, default_window, draw, write_points
+    from jaxshell.chart import chart, default_window, draw, mesh_points, write_points
+    from jaxshell.scenes import PAPER
 
     scene, settings, stem = _open_scene(options.scene)
     dt = _wanted(options, settings, scene, "dt")
     options.output.mkdir(parents=True, exist_ok=True)
     say = (lambda *_: None) if options.quiet else lambda text: print(text, flush=True)
     points, reference = chart(scene, dt, default_window(scene, dt, options.t_end), say=say)
+    if options.scene in PAPER:
+        points += mesh_points(PAPER[options.scene], dt, float(reference.times[-1]), say)
     data, picture = (options.output / f"{stem}_work_precision{end}" for end in (".json", ".png"))
     write_points(data, scene, points, reference)
     draw(scene.name, points, floor=reference.uncertainty).savefig(picture, bbox_inches="tight")
@@ -221,11 +238,12 @@ def _chart(options: argparse.Namespace) -> int:
 def _advise(options: argparse.Namespace) -> int:
     _prepare_jax()
     from jaxshell.advise import advise, command_line, describe, run_section
+    from jaxshell.scenes import PAPER
 
     scene, settings, _ = _open_scene(options.scene)
     dt = _wanted(options, settings, scene, "dt")
     say = (lambda *_: None) if options.quiet else lambda text: print(text, flush=True)
-    advice = advise(scene, options.tolerance, dt, options.t_end, say)
+    advice = advise(scene, options.tolerance, dt, options.t_end, say, make=PAPER.get(options.scene))
     print(describe(scene, advice))
     print(f"  {command_line(options.scene, advice)}")
     section = run_section(scene, advice)
@@ -261,13 +279,17 @@ def _prepare_jax() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
 
-def _open_scene(name: str):
+def _open_scene(name: str, divisions: Sequence[int] | None = None):
     """(scene, [run] settings, stem of files to write) of a scene's name, a scene file or a result file."""
     from jaxshell.scenes import PAPER
 
     path = Path(name)
+    if name in PAPER and divisions is not None:
+        return PAPER[name](divisions=_counts(name, divisions)), {}, name
     if name in PAPER:
         return PAPER[name](), {}, name
+    if divisions is not None:
+        raise ValueError(f"--divisions is for the library's scenes ({', '.join(PAPER)}), not for files: {name!r}.")
     if path.suffix == ".toml":
         from jaxshell.scene_file import read_scene_file
 
@@ -283,6 +305,17 @@ def _open_scene(name: str):
         f"There is no scene {name!r}. Choose out of {', '.join(PAPER)}, or name a .toml scene file "
         "or an .h5 result file."
     )
+
+
+def _counts(name: str, divisions: Sequence[int]):
+    """Divisions as the scene's function wants them: one number, or as many as its default has."""
+    from jaxshell.scenes import PAPER
+
+    default = inspect.signature(PAPER[name]).parameters["divisions"].default
+    wanted = len(default) if isinstance(default, tuple) else 1
+    if len(divisions) != wanted:
+        raise ValueError(f"The scene {name!r} takes {wanted} divisions, but {len(divisions)} are given.")
+    return tuple(divisions) if wanted > 1 else divisions[0]
 
 
 def _wanted(options: argparse.Namespace, settings: dict, scene, key: str):

@@ -8,7 +8,7 @@
     [watch]        label = { nearest or node, component }
     [initial]      velocity, angular_velocity, about: a rigid motion
     [run]          method, spectral_radius, dissipation, inertia, dt, t_end, save_every, tangent, picture_times,
-                   newton_tolerance, newton_reuse
+                   newton_tolerance, newton_reuse, step_tolerance (step control, started with dt)
 
 Nodes are chosen by `nodes = [...]`, `nearest = [x, y, z]`, `plane = { x = 0.0 }`, `box = [[low], [high]]` or
 `boundary = true`; several of these together choose what fulfils all. A history is `{ times, values }` or
@@ -30,7 +30,7 @@ from jaxshell.supports import ALL, Support, symmetry
 
 RUN_KEYS = (
     "method", "spectral_radius", "dissipation", "inertia", "dt", "t_end", "save_every", "tangent",
-    "picture_times", "newton_tolerance", "newton_reuse",
+    "picture_times", "newton_tolerance", "newton_reuse", "step_tolerance",
 )  # fmt: skip
 _SELECTORS = ("nodes", "nearest", "plane", "box", "boundary")
 _LOADS = {

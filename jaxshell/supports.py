@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxshell.checks import check_finite, float_array, node_indices
+from jaxshell.checks import check_finite, float_array, is_concrete, node_indices
 from jaxshell.frozen import Frozen
 from jaxshell.loads import History
 
@@ -22,10 +22,11 @@ class Support(eqx.Module):
         dofs: names out of ux, uy, uz (displacements) and rx, ry, rz (rotations about the global axes).
         displacement: prescribed displacement [length], scalar or one per entry of `dofs`; multiplied by
             `history`. None holds the freedoms where they are. Only for ux, uy, uz. Differentiable.
-        history: how the prescribed displacement varies in time; it must start from zero at the start time,
-            or the support would jump.
+        history: how the prescribed displacement varies in time (statics goes by the load factor instead); zero at
+            time 0, where runs start, or the support would jump.
 
-    Raises ValueError for unknown names, empty selections, prescribed rotations.
+    Raises ValueError for unknown names, empty selections, prescribed rotations, and histories that do not start
+    from zero.
     """
 
     nodes: Frozen = eqx.field(static=True)
@@ -47,11 +48,18 @@ class Support(eqx.Module):
         for name in self.dofs:
             if name not in DOFS:
                 raise ValueError(f"A support holds {name!r}, which does not exist. Choose out of {', '.join(DOFS)}.")
-        if self.displacement is not None:
+        if self.displacement is not None and self.history is not None:
             check_finite("prescribed displacement", self.displacement)
             turning = [name for name in self.dofs if name.startswith("r")]
             if turning:
                 raise ValueError(f"Only displacements can be prescribed, but the support names {', '.join(turning)}.")
+            if is_concrete(self.history.times) and is_concrete(self.history.values):
+                first = float(np.interp(0.0, np.asarray(self.history.times), np.asarray(self.history.values)))
+                if first != 0.0:
+                    raise ValueError(
+                        f"The history of a prescribed displacement must be zero at time 0, but it is {first:g}: the "
+                        "support would jump. Start with a ramp, or put the nodes where they begin."
+                    )
 
     @property
     def dof_numbers(self) -> np.ndarray:

@@ -1,6 +1,7 @@
 """References, errors, charts and advice: the figures of merit, the search, what is said and written."""
 
 import tomllib
+import types
 
 import jax
 import numpy as np
@@ -112,8 +113,37 @@ def test_picture_shows_methods_choices_and_peers(tmp_path):
 
 
 def test_every_kind_of_choice_is_charted():
-    kinds = {c.kind for c in charting.configurations(cap(), 2e-6)}
-    assert kinds == {"method", "inertia", "tangent", "newton", "linear solver"}
+    kinds = {c.kind for c in charting.configurations(cap(), 2e-6, 1e-4)}
+    assert kinds == {"method", "step control", "inertia", "tangent", "newton", "linear solver"}
+
+
+def test_divisions_of_a_library_scene():
+    assert charting.divided(js.scenes.spherical_cap, 0.6) == 6
+    assert charting.divided(js.scenes.free_plate, 0.5) == (8, 2)
+    assert charting.divided(js.scenes.free_plate, 0.01) == (1, 1)
+
+
+def test_meshes_are_compared_with_the_finest(monkeypatch):
+    """A deflection with an error of 1/divisions² shows it, less that of the finest."""
+    times = np.linspace(0.0, 1.0, 9)
+
+    def timed(scene, tried, t_end):
+        divisions = round((scene.mesh.n_elements / 2) ** 0.5)
+        displacements = np.zeros((9, scene.mesh.n_nodes, 3))
+        displacements[:, 0, 2] = times * (1.0 + divisions**-2.0)
+        stats = {"steps": 8, "iterations": 16}
+        run = types.SimpleNamespace(
+            scene=scene, message="", frame_times=times, displacements=displacements, stats=stats, times=times
+        )
+        return run, 1e-3 * scene.mesh.n_elements
+
+    monkeypatch.setattr(charting, "timed", timed)
+    points = charting.mesh_points(js.scenes.spherical_cap, 2e-6, 1.0, say=lambda _: None)
+    assert [p.label for p in points] == ["32 triangles", "72 triangles", "200 triangles", "512 triangles"]
+    finest = 1.0 + 25.0**-2
+    expected = [(n**-2.0 - 25.0**-2) / finest for n in (4, 6, 10, 16)]
+    assert np.allclose([p.error for p in points], expected)
+    assert "Meshes, against the finest" in [axes.get_title() for axes in charting.draw("cap", points).axes]
 
 
 # --- the search --------------------------------------------------------------------------------------------
@@ -121,25 +151,38 @@ def test_every_kind_of_choice_is_charted():
 GEM = js.GeneralizedEnergyMomentum
 
 
+class Asked(list):
+    """What was asked for; one may set what step control costs a step, and the elements that an answer needs."""
+
+    control_cost: list[float]
+    enough: list[int]
+
+
 @pytest.fixture
 def pretend(monkeypatch):
     """Second-order methods with known constants and costs instead of runs; returns what was asked for."""
-    asked = []
+    asked, control_cost, enough = Asked(), [100.0], [0]
     constants = {"good": (1.0, 1.0), "light": (1.1, 0.6), "poor": (50.0, 1.0), "biased": (1.0, 0.1)}
 
     def measure(scene, tried: Configuration, reference) -> Point:
         asked.append(tried)
+        if isinstance(tried.dt, js.StepControl):
+            steps = round(0.2 * tried.dt.tolerance ** (-1 / 3))
+            return Point(tried.kind, tried.label, 2.0 / steps, control_cost[0] * steps, 4.0 / steps**2, steps, steps)
         constant, cost = constants[tried.label.split(",")[0]]
         loose = float(tried.newton.tolerance)
         error = constant * tried.dt**2 + (0.5 if tried.label == "biased" else 0.0) + (0.3 if loose > 1e-5 else 0.0)
+        error += 0.3 if scene.mesh.n_elements < enough[0] else 0.0
         effort = (0.5 if loose > 1e-7 else 1.0) ** (loose > 1e-8) * (1.5 if tried.newton.reuse else 1.0)
         steps = round(2.0 / tried.dt)
+        effort *= scene.mesh.n_elements / cap().mesh.n_elements
         return Point(tried.kind, tried.label, tried.dt, cost * effort * steps, error, steps, 2 * steps)
 
     names = [("good", GEM()), ("light", GEM(inertia="none")), ("poor", js.Newmark()), ("biased", js.Bathe())]
     monkeypatch.setattr(advising, "measure", measure)
     monkeypatch.setattr(advising, "candidates", lambda: names)
     monkeypatch.setattr(advising, "inertia_change", lambda *_: 3e-5)
+    asked.control_cost, asked.enough = control_cost, enough
     return asked
 
 
@@ -169,8 +212,32 @@ def test_steps_are_doubled_while_they_meet_it(pretend):
 
 def test_tolerance_that_nothing_meets(pretend, monkeypatch):
     monkeypatch.setattr(advising, "candidates", lambda: [("biased", js.Bathe())])
+    monkeypatch.setattr(advising._Search, "try_step_control", lambda *_: None)
     advice = advising.advise(cap(), 0.1, dt=1.0, say=lambda _: None, reference=SINE)
     assert not advice.met and advice.reasons[0].startswith("Nothing tried meets 0.1; the most accurate")
+
+
+def test_step_control_where_it_is_cheapest(pretend):
+    pretend.control_cost[0] = 0.1
+    advice = advising.advise(cap(), 0.1, dt=1.0, say=lambda _: None, reference=SINE)
+    assert isinstance(advice.best.dt, js.StepControl)
+    tolerance = advice.best.dt.tolerance
+    assert f"js.StepControl({tolerance:g}, initial=1)" in advising.describe(cap(), advice)
+    assert f"--dt 1 --step-tolerance {tolerance:g}" in advising.command_line("cap", advice)
+    run = tomllib.loads(advising.run_section(cap(), advice))["run"]
+    assert set(run) <= set(RUN_KEYS) and run["step_tolerance"] == pytest.approx(tolerance)
+
+
+def test_fewer_elements_where_they_suffice(pretend, monkeypatch):
+    """Of 10 divisions 8 and 6 are enough, 5 are not; what a finer mesh would change is said."""
+    still = types.SimpleNamespace(message="", frame_times=TIMES, scene=cap(), displacements=np.zeros((41, 9, 3)))
+    monkeypatch.setattr(advising, "timed", lambda *_: (still, 1.0))
+    pretend.enough[0] = 72
+    make = js.scenes.spherical_cap
+    advice = advising.advise(make(), 0.1, dt=1.0, say=lambda _: None, reference=SINE, make=make)
+    assert advice.divisions == 6 and "--divisions 6" in advising.command_line("cap", advice)
+    text = advising.describe(make(), advice)
+    assert "50 triangles (divisions 5) are not enough" in text and "450 triangles would change" in text
 
 
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, 1.0, 1e-7])
@@ -182,12 +249,15 @@ def test_bad_tolerances(pretend, tolerance):
 
 def test_command_writes_a_run_section_that_scene_files_take(pretend, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(advising, "reference_of", lambda *_: SINE)
+    failed = types.SimpleNamespace(message="the finer mesh is not of interest here")
+    monkeypatch.setattr(advising, "timed", lambda *_: (failed, 1.0))
+    pretend.enough[0] = 200
     file = tmp_path / "run.toml"
     assert main(["advise", "cap", "--tolerance", "0.1", "--dt", "1", "--output", str(file), "--quiet"]) == 0
     run = tomllib.loads(file.read_text())["run"]
     assert set(run) <= set(RUN_KEYS)
     assert (run["method"], run["inertia"], run["dt"], run["newton_tolerance"]) == ("EMC", "none", 0.25, 1e-6)
-    command = "jaxshell run cap --method EMC --inertia none --dt 0.25 --newton-tolerance 1e-06"
+    command = "jaxshell run cap --method EMC --inertia none --dt 0.25 --newton-tolerance 1e-06\n"
     assert command in capsys.readouterr().out
 
 

@@ -77,6 +77,10 @@ PARTS = {
         lambda: js.Support([0], ("uz", "rx"), 1.0, js.History.ramp(1.0)),
         "Only displacements can be prescribed, but the support names rx",
     ),
+    "support that jumps": (
+        lambda: js.Support([0], "uz", 1.0, js.History.constant()),
+        "must be zero at time 0, but it is 1",
+    ),
     "prescribed without a history": (lambda: js.Support([0], "uz", 1.0), "needs a history"),
     "force of a wrong shape": (lambda: FORCE([0, 1], [[0.0, 0, 1]] * 3), r"force must have shape .*\(3, 3\)"),
     "force not a number": (lambda: FORCE([0], [0.0, NAN, 0.0]), r"must be finite.* nan at index \(1,\)"),

@@ -121,6 +121,9 @@ def test_failed_run_keeps_its_steps_and_says_so(finished, capsys):
         (["run", "cap", "--save-every", "0"], "save_every must be a whole number of at least 1, but it is 0"),
         (["run", "cap", "--spectral-radius", "2"], "spectral_radius must lie in [0, 1.0], but it is 2.0"),
         (["run", "cap", "--method", "all", "--dissipation", "0.1"], "for one method at a time"),
+        (["run", "plate", "--divisions", "4"], "'plate' takes 2 divisions, but 1 are given"),
+        (["run", __file__, "--divisions", "4"], "--divisions is for the library's scenes"),
+        (["run", "cap", "--step-tolerance", "-1"], "StepControl tolerance must be positive, but it is -1.0"),
     ],
 )
 def test_bad_input_is_a_short_error(arguments, message, capsys, tmp_path, monkeypatch):
@@ -135,6 +138,15 @@ def test_scene_without_a_step_asks_for_one(tmp_path, capsys):
     (tmp_path / "strip.toml").write_text(STRIP[: STRIP.index("[run]")])
     assert main(["run", str(tmp_path / "strip.toml"), "--output", str(tmp_path)]) == 2
     assert "The scene gives no dt: add --dt, or dt in the file's [run]." in capsys.readouterr().err
+
+
+def test_step_control_and_another_mesh(tmp_path, capsys):
+    command = "run cap --divisions 2 --method exact --step-tolerance 1e-5 --t-end 1e-4 --dt 1e-7 --no-plots --output"
+    assert main([*command.split(), str(tmp_path)]) == 0
+    assert "8 triangles" in capsys.readouterr().out
+    run = Solution.load(tmp_path / "cap.h5")
+    sizes = np.asarray(run.step_sizes)
+    assert run.stats["accepted"] == len(sizes) and sizes.max() > 1.01 * sizes.min()
 
 
 def test_scenes_are_listed(capsys):
