@@ -14,7 +14,6 @@ and Newton solves both at once. Its bordered system needs K once, with two right
 import time
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +22,7 @@ from jaxtyping import Array, Float, Int
 from jaxshell import program
 from jaxshell.assembly import analyse
 from jaxshell.checks import check_positive, is_concrete, require_float64
+from jaxshell.compiled import compiled
 from jaxshell.linear_solver import LinearSolver, default_solver
 from jaxshell.mechanisms import check_supported
 from jaxshell.methods.static import Static, StaticState
@@ -113,7 +113,7 @@ class _Carry(NamedTuple):
     correction: Float[Array, ""]
 
 
-@eqx.filter_jit
+@compiled
 def _advance(model: Model, newton: Newton, handle, choices: Choices, state: StaticState, previous, length):
     """One step of arc length `length`, going on in the direction `previous` (n, 3) of the last step."""
     linear, method = Linear(choices.linear_solver, handle), Static()

@@ -22,6 +22,7 @@ from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, splu
 from jaxshell import rotations
 from jaxshell.assembly import Tables, analyse
 from jaxshell.checks import is_concrete, require_float64
+from jaxshell.compiled import compiled
 from jaxshell.elements import corotational
 from jaxshell.elements.inertia import LINEAR_MASS
 from jaxshell.linear_solver import default_solver, linear_solve
@@ -141,7 +142,7 @@ def _initial_state(scene: Scene):
 # --- matrices ---------------------------------------------------------------------------------------------
 
 
-@eqx.filter_jit
+@compiled
 def _vibration_matrices(scene: Scene, tables: Tables, state, time):
     """Values of K and M over the free freedoms, and a scale of ω² below the bending frequencies."""
     model = Model.build(scene, tables)
@@ -157,7 +158,7 @@ def _vibration_matrices(scene: Scene, tables: Tables, state, time):
     return model.assemble_matrix(K), model.assemble_matrix(M), shift
 
 
-@eqx.filter_jit
+@compiled
 def _buckling_matrices(scene: Scene, tables: Tables, handle):
     """Values of K and K_σ over the free freedoms, K_σ for load factor 1."""
     model = Model.build(scene, tables)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxshell.assembly import Tables
+from jaxshell.compiled import compiled
 from jaxshell.gradients import Gradients, merge, scan_steps
 from jaxshell.linear_solver import Handle, LinearSolver
 from jaxshell.methods.base import Method, Observation, Solvers
@@ -55,7 +56,7 @@ class Choices(NamedTuple):
     watch: tuple
 
 
-@eqx.filter_jit
+@compiled
 def prepare(scene: Scene, method: Method, newton: Newton, tables: Tables, handle: Handle, choices: Choices):
     """Model, start and its record."""
     model = Model.build(scene, tables)
@@ -65,20 +66,20 @@ def prepare(scene: Scene, method: Method, newton: Newton, tables: Tables, handle
     return model, Carry(state, memory, zero + SUCCESSFUL), *first(model, method, state, choices)
 
 
-@eqx.filter_jit
+@compiled
 def first(model: Model, method: Method, state, choices: Choices):
     """Record and frame of the state at the start."""
     zero = jnp.zeros((), jnp.int32)
     return record(model, method, state, choices, zero, zero, jnp.array(True)), frame(model, state)
 
 
-@eqx.filter_jit
+@compiled
 def run(model: Model, method: Method, newton: Newton, handle: Handle, choices: Choices, carry: Carry, steps):
     """Scan over frames of `save_every` steps each; `steps` (dt, time at its end), (frames, save_every) each.
 
     A step with dt = 0 is none: it fills up the last chunk. After a failure no further step is taken.
     """
-    solvers = Solvers(newton, Linear(choices.linear_solver, handle), choices.tangent)
+    solvers = Solvers(newton, Linear(choices.linear_solver, handle), choices.tangent, differentiated=False)
 
     def one(carry: Carry, step):
         dt, end = step
@@ -119,7 +120,7 @@ def frame(model: Model, state) -> Frame:
     return Frame(state.time, state.x - model.x0, state.R, state.v)
 
 
-@eqx.filter_jit
+@compiled
 def run_whole(
     model: Model, method: Method, newton: Newton, handle: Handle, choices: Choices, gradients: Gradients, carry, steps
 ):
@@ -153,7 +154,7 @@ class Attempts(NamedTuple):
     control: Control
 
 
-@eqx.filter_jit
+@compiled
 def try_steps(
     model: Model,
     method: Method,
@@ -169,7 +170,7 @@ def try_steps(
 
     Returns the carry, a record and a frame per attempt; `done` marks the accepted steps.
     """
-    solvers = Solvers(newton, Linear(choices.linear_solver, handle), choices.tangent)
+    solvers = Solvers(newton, Linear(choices.linear_solver, handle), choices.tangent, differentiated=False)
 
     def attempt(attempts: Attempts, _):
         carry, now = attempts

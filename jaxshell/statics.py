@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from jaxshell import program
 from jaxshell.assembly import Tables, analyse
 from jaxshell.checks import check_finite, is_concrete, require_float64
+from jaxshell.compiled import compiled
 from jaxshell.gradients import Stored
 from jaxshell.linear_solver import LinearSolver, default_solver
 from jaxshell.loads import History
@@ -135,10 +136,10 @@ def solve_static(
     return solution
 
 
-@eqx.filter_jit
+@compiled
 def _advance(model: Model, newton: Newton, handle, choices: Choices, state: StaticState, memory, step, end):
     """One load step of size `step` to the load factor `end`: state, memory, result, record and frame."""
-    solvers = Solvers(newton, Linear(choices.linear_solver, handle), choices.tangent)
+    solvers = Solvers(newton, Linear(choices.linear_solver, handle), choices.tangent, differentiated=False)
     state, info, memory = Static().step(model, state, step, solvers, memory)
     state = eqx.tree_at(lambda s: s.time, state, end)
     record = program.record(model, Static(), state, choices, info.iterations, info.factorizations, jnp.array(True))
@@ -261,7 +262,7 @@ def reactions(solution: Solution) -> Float[Array, "f n 6"]:
     return _reactions(proportional(solution.scene), tables, *frames)
 
 
-@eqx.filter_jit
+@compiled
 def _reactions(scene: Scene, tables: Tables, displacements, rotations, factors):
     model = Model.build(scene, tables)
     frames = displacements, rotations, factors

@@ -24,11 +24,13 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.lax import optimization_barrier
 from jaxtyping import Array, Float
 
 from jaxshell import rotations
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element, Kinematics
+from jaxshell.elements.products import columns_times, dot, product
 
 _NEGLIGIBLE = 1e-12
 """|Δπ|², dimensionless, below which f·Δe - f·½(G₀+G₁)Δπ = O(|Δπ|³) is lost in the rounding of e."""
@@ -80,13 +82,13 @@ class StepState(NamedTuple):
 
 def spin_matrix(theta: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """C with δω = C δθ for R₁ = cay(θ) R₀, δR₁ = ~δω R₁: (I + ½~θ)/(1 + ¼θ²)."""
-    return (jnp.eye(3) + 0.5 * rotations.skew(theta)) / (1.0 + 0.25 * jnp.sum(theta * theta))
+    return (jnp.eye(3) + 0.5 * rotations.skew(theta)) / (1.0 + 0.25 * dot(theta, theta))
 
 
 def mid_matrix(theta: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """(I - ½~θ)⁻¹ = ½(I + cay(θ)) = (I + ½~θ + ¼θθᵀ)/(1 + ¼θ²)."""
     outer = theta[:, None] * theta[None, :]
-    return (jnp.eye(3) + 0.5 * rotations.skew(theta) + 0.25 * outer) / (1.0 + 0.25 * jnp.sum(theta * theta))
+    return (jnp.eye(3) + 0.5 * rotations.skew(theta) + 0.25 * outer) / (1.0 + 0.25 * dot(theta, theta))
 
 
 def edges_of(x: Float[Array, "3 3"]) -> Float[Array, "2 3"]:
@@ -110,22 +112,32 @@ def _pull(kin: Kinematics, f) -> Float[Array, "3 3"]:
     return jnp.sum(kin.H * _moments(f)[:, :, None], axis=1)
 
 
-def _gradient(coordinates, metric, mu):
-    """Gᵀf in local components, linear in f: (3,) against ½a·a, a·b, ½b·b and (3, 2, 3) against R_kᵀ(edge i).
+def _against_edges(coordinates, mu: Float[Array, "3 *c"]) -> Float[Array, "2 3 *c"]:
+    """Local components of Gᵀf against R_kᵀ(edge i), linear in the moments μ_k against the spin ω̄_k.
 
     R̄_k has the rows ρ1 = R_kᵀa/l, ρ2 = (R_kᵀb - b̄x ρ1)/b̄y, ρ3 = ρ1 × ρ2, in local components e1, e2, e3, and
-    δω̄_k = (-ρ3·δρ2, ρ3·δρ1, ½(ρ1·δρ2 - ρ2·δρ1)). `metric` (3,) are the stresses against l, b̄x, b̄y, and `mu`
-    (3, 3) the moments against the spins ω̄_k.
+    δω̄_k = (-ρ3·δρ2, ρ3·δρ1, ½(ρ1·δρ2 - ρ2·δρ1)).
     """
     length, bx, by = coordinates
-    x, y, z = mu.T
-    slope, zero = bx / (length * by), jnp.zeros_like(x)
-    along_a = [-0.5 * slope * z, -0.5 * z / length, y / length + slope * x]
-    P = jnp.stack([*along_a, 0.5 * z / by, zero, -x / by], axis=1).reshape(3, 2, 3)
-    drill = 0.5 * jnp.sum(z)
-    shear = metric[1] - drill / by - metric[2] * bx / by
-    s = [(metric[0] + drill * slope - shear * bx / length) / length, shear / length, metric[2] / by]
-    return jnp.stack(s), P
+    x, y, z = mu
+    slope = bx / (length * by)
+    along_a = [-0.5 * slope * z, -0.5 / length * z, y / length + slope * x]
+    along_b = [0.5 / by * z, jnp.zeros_like(z), -x / by]
+    return jnp.stack([jnp.stack(along_a), jnp.stack(along_b)])
+
+
+def _against_metric(coordinates, metric: Float[Array, "3 *c"], drill: Float[Array, " *c"]) -> Float[Array, "3 *c"]:
+    """Gᵀf against ½a·a, a·b, ½b·b, linear in the stresses against l, b̄x, b̄y and in `drill` = ½Σ_k μ_kz."""
+    length, bx, by = coordinates
+    shear = metric[1] - drill / by - metric[2] * (bx / by)
+    first = (metric[0] + drill * (bx / (length * by)) - shear * (bx / length)) / length
+    return jnp.stack([first, shear / length, metric[2] / by])
+
+
+def _gradient(coordinates, metric, mu):
+    """Gᵀf at these l, b̄x, b̄y: (3,) by `_against_metric` and (3, 2, 3) by `_against_edges`."""
+    drill = 0.5 * (mu[0, 2] + mu[1, 2] + mu[2, 2])
+    return _against_metric(coordinates, metric, drill), jax.vmap(_against_edges, (None, 0))(coordinates, mu)
 
 
 def _forces(s, p, edges):
@@ -173,6 +185,8 @@ def evaluate(start: StepStart, x, R, u: Float[Array, "3 6"], element: Element, d
     c = missing * per_norm
     s = s + c * w_metric * d_metric
     p = p + c * w * _apply_transposed(A, turned)
+    # Barriers keep XLA from forming what many entries share anew in each; here and below they save a quarter.
+    s, p, f, mu, P1, A, turned = optimization_barrier((s, p, f, mu, P1, A, turned))
     return StepState(kin, increments, edges, theta, A, turned, d_metric, change, f, mu, P1, s, p, c, per_norm)
 
 
@@ -195,24 +209,6 @@ def elastic_forces(state: StepState) -> Float[Array, "18"]:
 # --- the tangent ------------------------------------------------------------------------------------------
 
 
-def _moment_map(coordinates) -> Float[Array, "2 3 3"]:
-    """Derivative of the P of `_gradient` by μ_k, the same for every node: axes (edge, component, μ)."""
-    length, bx, by = coordinates
-    slope, zero = bx / (length * by), jnp.zeros_like(length)
-    a = [zero, zero, -0.5 * slope, zero, zero, -0.5 / length, slope, 1.0 / length, zero]
-    b = [zero, zero, 0.5 / by, zero, zero, zero, -1.0 / by, zero, zero]
-    return jnp.stack(a + b).reshape(2, 3, 3)
-
-
-def _metric_map(coordinates) -> Float[Array, "3 4"]:
-    """Derivative of the s of `_gradient` by the metric stresses and Σ_k μ_kz."""
-    length, bx, by = coordinates
-    zero, slope = jnp.zeros_like(length), bx / by
-    first = [1.0 / length, -bx / length**2, slope * bx / length**2, slope / length**2]
-    second = [zero, 1.0 / length, -slope / length, -0.5 / (length * by)]
-    return jnp.stack([*first, *second, zero, zero, 1.0 / by, zero]).reshape(3, 4)
-
-
 def elastic_tangent(state: StepState, start: StepStart, element: Element, dissipation) -> Float[Array, "18 18"]:
     """Derivative of `elastic_forces` by u, in closed form.
 
@@ -220,7 +216,7 @@ def elastic_tangent(state: StepState, start: StepStart, element: Element, dissip
     local spin of node k less that of the frame. E (15, 12) collects that dependence, with that of c, and one
     product with ∂e'/∂(Δa, Δb, θ) completes it. What is left acts at fixed s and in the change of Δπ.
     """
-    E = _local_tangent(state, start, element, dissipation)
+    E = optimization_barrier(_local_tangent(state, start, element, dissipation))
     u = jnp.concatenate([state.increments, state.theta]).reshape(15)
     f = state.f + (0.5 + dissipation) * corotational.stresses(state.change, element)
     pulled = jnp.concatenate([f[:3], _pull(state.kin, f).reshape(9)])
@@ -228,35 +224,48 @@ def elastic_tangent(state: StepState, start: StepStart, element: Element, dissip
     # What c Δπ adds: c's dependence on e' joins E, its dependence on Δπ is the row `by_change`.
     d_metric, turned, c = w_metric * state.d_metric, w * state.turned, state.c
     direction = _stacked(_forces(d_metric, _apply_transposed(state.A, turned), state.edges))
-    E = E + direction[:, None] * (state.per_norm * (pulled - u @ E))[None, :]
+    direction, pulled = optimization_barrier((direction, state.per_norm * (pulled - product(u, E))))
+    E = E + direction[:, None] * pulled[None, :]
 
     end = state.edges + 0.5 * state.increments
     C = jax.vmap(spin_matrix)(state.theta)
     z = state.p + 0.5 * jnp.cross(state.theta[:, None], state.p)  # R_k1 R_km⁻¹ p_ki
     F, M = _forces(state.s + c * d_metric, z + c * turned, end)
-    by_change = -state.per_norm * _stacked((F, jnp.sum(M[:, :, None] * C, axis=1)))
+    by_change = -state.per_norm * _stacked((F, jax.vmap(product)(M, C)))
+    E, C, z, direction, by_change = optimization_barrier((E, C, z, direction, by_change))
     K = _from_local(E, state, C) + direction[:, None] * by_change[None, :]
 
     # At fixed s: edges and mid-point rotations move, and Δπ changes with the end of the step.
-    minus_skew = -_skews(state.edges)
     A_end = jnp.swapaxes(state.A, 1, 2)
     D = -0.5 * _skews(z.reshape(6, 3)).reshape(3, 2, 3, 3)
-    D = D + (c * w) * (A_end[:, None] @ _skews(end)[None])
-    D = jnp.sum(D[..., None] * C[:, None, None], axis=3)  # (k, i, 3, 3): δp_ki by θ_k
+    D = D + (c * w) * jax.vmap(lambda A: jax.vmap(lambda e: product(A, rotations.skew(e)))(end))(A_end)
+    D = jax.vmap(product)(D, C)  # (k, i, 3, 3): δp_ki by θ_k
     forces_theta = jnp.transpose(D, (1, 2, 0, 3))
-    moments_theta = jnp.sum(minus_skew[None, :, :, :, None] * D[:, :, None], axis=(1, 3))
+    moments_theta = _times_edges(D, state.edges)
     S = jnp.stack([state.s[0], state.s[1], state.s[1], state.s[2]]).reshape(2, 2)
     eye = jnp.eye(3)
     outer = (c * w_metric) * state.edges[:, :, None, None] * end[None, None]  # (j, x, i, y): (e_j)_m ⊗ (e_i)_1
-    same = outer[0, :, 0] + outer[1, :, 1] + (c * w) * jnp.sum(A_end, axis=0)
+    same = outer[0, :, 0] + outer[1, :, 1] + (c * w) * (A_end[0] + A_end[1] + A_end[2])
     forces_edges = 0.5 * S[:, None, :, None] * eye[None, :, None, :] + jnp.transpose(outer, (2, 1, 0, 3))
     forces_edges = forces_edges + jnp.eye(2)[:, None, :, None] * same[None, :, None, :]
     moments_edges = 0.5 * _skews(state.p.reshape(6, 3)).reshape(3, 2, 3, 3)
-    moments_edges = moments_edges + (c * w) * (minus_skew[None] @ A_end[:, None])
+    moments_edges = moments_edges + (c * w) * _crossed(A_end[:, None], state.edges)
     moments_theta = eye[:, None, :, None] * moments_theta[:, :, None, :]
     top = jnp.concatenate([forces_edges, forces_theta], axis=2)
     bottom = jnp.concatenate([jnp.transpose(moments_edges, (0, 2, 1, 3)), moments_theta], axis=2)
-    return _to_nodes(K.reshape(5, 3, 5, 3) + jnp.concatenate([top, bottom]))
+    return _to_nodes(optimization_barrier(K.reshape(5, 3, 5, 3) + jnp.concatenate([top, bottom])))
+
+
+def _crossed(vectors: Float[Array, "k i 3 c"], edges) -> Float[Array, "k 2 3 c"]:
+    """Columns of (k, i) times edge i."""
+    (x, y, z), (a, b, c) = jnp.moveaxis(vectors, 2, 0), edges.T[:, None, :, None]
+    return jnp.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=2)
+
+
+def _times_edges(vectors: Float[Array, "k 2 3 c"], edges) -> Float[Array, "k 3 c"]:
+    """Σ_i of the columns of (k, i) times edge i: the moments of forces p_ki."""
+    crossed = _crossed(vectors, edges)
+    return crossed[:, 0] + crossed[:, 1]
 
 
 def _to_nodes(K: Float[Array, "5 3 5 3"]) -> Float[Array, "18 18"]:
@@ -277,57 +286,44 @@ def _stacked(forces_and_moments) -> Float[Array, "15"]:
 
 def _local_tangent(state: StepState, start: StepStart, element: Element, dissipation) -> Float[Array, "15 12"]:
     """Derivative of the forces by e' without that of c."""
-    kin = state.kin
+    kin, began, factor = state.kin, start.kin, 0.5 + dissipation
     # Stresses by e': metric (3, 12) and moments (k, 3, 12).
-    Km, Kb = element.K_membrane, element.K_bending.reshape(3, 2, 3, 2)
+    Km, Kb = element.K_membrane, element.K_bending.reshape(6, 3, 2)
     H_z, H_xy = kin.H[:, 2], kin.H[:, :2]
-    metric = jnp.concatenate([Km[:3, :3], (Km[:3, 3:, None] * H_z[None]).reshape(3, 9)], axis=1)
-    drill = jnp.concatenate([Km[3:, :3], (Km[3:, 3:, None] * H_z[None]).reshape(3, 9)], axis=1)
-    tilt = jnp.sum(Kb[:, :, :, :, None] * H_xy[None, None], axis=3).reshape(3, 2, 9)
-    tilt = jnp.concatenate([jnp.zeros((3, 2, 3)), tilt], axis=2)
-    factor = 0.5 + dissipation
-    metric, moments = factor * metric, factor * jnp.concatenate([tilt, drill[:, None]], axis=1)
+    membrane = factor * jnp.concatenate([Km[:, :3], (Km[:, 3:, None] * H_z[None]).reshape(6, 9)], axis=1)
+    tilt = Kb[:, :, 0, None] * H_xy[:, 0] + Kb[:, :, 1, None] * H_xy[:, 1]
+    tilt = factor * jnp.concatenate([jnp.zeros((6, 3)), tilt.reshape(6, 9)], axis=1)
+    metric, moments = membrane[:3], jnp.concatenate([tilt.reshape(3, 2, 12), membrane[3:, None]], axis=1)
 
     # p_ki by the moments (B), by the metric and by ω̄_k at fixed stresses.
-    at_start = 0.5 * jnp.sum(state.A[:, :, None, :] * start.kin.frame[None, None], axis=3)
-    at_end = 0.5 * jnp.sum(jnp.swapaxes(state.A, 1, 2)[:, :, None, :] * kin.frame[None, None], axis=3)
-    V0, V1 = _moment_map(start.kin.coordinates), _moment_map(kin.coordinates)
+    at_start = 0.5 * jax.vmap(lambda A: product(A, began.frame.T))(state.A)
+    at_end = 0.5 * jax.vmap(lambda A: product(A.T, kin.frame.T))(state.A)
     corrections = corotational.moment_corrections(kin, state.f)
-    by_metric = jax.jacfwd(_gradient)(kin.coordinates, state.f[:3], state.mu)
-    HT0, HT1 = jnp.swapaxes(start.kin.H, 1, 2), jnp.swapaxes(kin.H, 1, 2)
-    inner = jnp.concatenate(
-        [
-            V1[None] @ HT1[:, None],
-            by_metric[1],
-            V1[None] @ corrections[:, None] + _skews(state.P.reshape(6, 3)).reshape(3, 2, 3, 3),
-        ],
-        axis=3,
-    )
-    outer = at_end[:, None] @ inner
-    B = outer[..., :3] + at_start[:, None] @ (V0[None] @ HT0[:, None])
-    B, fixed = B.reshape(3, 6, 3), outer[..., 3:].reshape(3, 6, 6)
+    s_metric, P_metric = jax.jacfwd(_gradient)(kin.coordinates, state.f[:3], state.mu)
+    HT0, HT1 = jnp.swapaxes(began.H, 1, 2), jnp.swapaxes(kin.H, 1, 2)
+    spread = jax.vmap(_against_edges, (None, 0))
+    P_spins = spread(kin.coordinates, corrections) + _skews(state.P.reshape(6, 3)).reshape(3, 2, 3, 3)
+    inner = jnp.concatenate([spread(kin.coordinates, HT1), P_metric, P_spins], axis=3)
+    inner, at_end = optimization_barrier((inner, at_end))
+    placed = jax.vmap(lambda T, v: jax.vmap(lambda v: product(T, v))(v))
+    outer = placed(at_end, inner)
+    B = outer[..., :3] + placed(at_start, spread(began.coordinates, HT0))
+    own = jnp.eye(3)[:, None, None, :, None] * outer[..., None, 6:]
+    fixed = jnp.concatenate([outer[..., 3:6], own.reshape(3, 2, 3, 9)], axis=3)
+    B, moments, fixed = optimization_barrier((B, moments, fixed))
+    p = jax.vmap(product)(B, moments) + fixed
 
     # s by e'
-    Q0, Q1 = _metric_map(start.kin.coordinates), _metric_map(kin.coordinates)
-    z0 = jnp.sum(start.kin.H[:, :, 2, None] * moments, axis=(0, 1))
-    z1 = jnp.sum(kin.H[:, :, 2, None] * moments, axis=(0, 1))
+    rows = moments.reshape(9, 12)
+    z0, z1 = product(began.H[:, :, 2].reshape(9), rows), product(kin.H[:, :, 2].reshape(9), rows)
     z1 = z1 + jnp.concatenate([jnp.zeros(3), corrections[:, 2].reshape(9)])
-    s = 0.5 * ((Q0 + Q1)[:, :3] @ metric + Q0[:, 3:] * z0 + Q1[:, 3:] * z1)
-    s = s + 0.5 * jnp.concatenate([by_metric[0], jnp.zeros((3, 9))], axis=1)
+    s = _against_metric(began.coordinates, metric, 0.5 * z0) + _against_metric(kin.coordinates, metric, 0.5 * z1)
+    s = 0.5 * (s + jnp.concatenate([s_metric, jnp.zeros((3, 9))], axis=1))
 
-    edges = state.edges
-    zero = jnp.zeros(3)
-    spread = jnp.stack([jnp.stack([edges[0], edges[1], zero]), jnp.stack([zero, edges[0], edges[1]])])
-    F = jnp.einsum("isx,sc->ixc", spread, s).reshape(6, 12)
-    F = F + jnp.einsum("kpm,kmc->pc", B, moments)
-    own = jnp.transpose(fixed[:, :, 3:], (1, 0, 2)).reshape(6, 9)
-    F = F + jnp.concatenate([jnp.sum(fixed[:, :, :3], axis=0), own], axis=1)
-    arm = jnp.transpose(-_skews(edges), (1, 0, 2)).reshape(3, 6)
-    M = (arm[None] @ B) @ moments
-    turned = arm[None] @ fixed
-    own = (jnp.eye(3)[:, None, :, None] * turned[:, :, None, 3:]).reshape(3, 3, 9)
-    M = M + jnp.concatenate([turned[:, :, :3], own], axis=2)
-    return jnp.concatenate([F, M.reshape(9, 12)])
+    p, s = optimization_barrier((p, s))
+    (a, b), total = state.edges[:, :, None], p[0] + p[1] + p[2]
+    F = jnp.stack([a * s[0] + b * s[1] + total[0], a * s[1] + b * s[2] + total[1]])
+    return jnp.concatenate([F.reshape(6, 12), _times_edges(p, state.edges).reshape(9, 12)])
 
 
 def _from_local(E: Float[Array, "15 12"], state: StepState, C) -> Float[Array, "15 15"]:
@@ -335,7 +331,7 @@ def _from_local(E: Float[Array, "15 12"], state: StepState, C) -> Float[Array, "
     length, bx, by = state.kin.coordinates
     frame = state.kin.frame
     by_spin = E[:, 3:].reshape(15, 3, 3)
-    total = -jnp.sum(by_spin, axis=1)  # by the spin of the frame
+    total = -(by_spin[:, 0] + by_spin[:, 1] + by_spin[:, 2])  # by the spin of the frame
     El, Ex, Ey = E[:, 0], E[:, 1], E[:, 2]
     local = jnp.stack(
         [
@@ -348,7 +344,6 @@ def _from_local(E: Float[Array, "15 12"], state: StepState, C) -> Float[Array, "
         ],
         axis=1,
     )
-    by_edges = local.reshape(15, 2, 3) @ frame
-    turn = jnp.sum(frame[None, :, :, None] * C[:, None], axis=2)
-    by_theta = jnp.sum(by_spin[..., None] * turn[None], axis=2)
+    by_edges = product(local.reshape(15, 2, 3), frame)
+    by_theta = columns_times(by_spin, jax.vmap(lambda C: product(frame, C))(C))
     return jnp.concatenate([by_edges.reshape(15, 6), by_theta.reshape(15, 9)], axis=1)

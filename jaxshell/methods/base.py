@@ -78,6 +78,8 @@ class Solvers(NamedTuple):
     newton: Newton
     linear: Linear
     tangent: str
+    differentiated: bool = True
+    """Whether the program may be transformed by JAX. Others are spared the derivative of every step."""
 
 
 class Method(eqx.Module):
@@ -176,6 +178,14 @@ class ImplicitMethod(Method):
         fixed = jax.lax.stop_gradient((self, model, state, dt))
         solved = keep(one_by_one(_converge, *fixed, solvers, memory))
         begun, held, problem = _problem(self, model, state, dt, solvers)
+        u = self._differentiable(model, state, begun, held, problem, solved, solvers)
+        info = StepInfo(solved.result, solved.iterations, solved.factorizations, solved.correction)
+        return self.finish(model, state, dt, u, self.motion(state, u), begun), info, solved.memory
+
+    def _differentiable(self, model, state, begun, held, problem, solved, solvers) -> Float[Array, "n 6"]:
+        """The converged increments, with the derivative of the equations that they solve."""
+        if not solvers.differentiated:
+            return model.expand(solved.free, held)
         matrices = self.matrices(model, state, begun, model.expand(solved.free, held), solvers.tangent)
         free = attach_derivative(
             solvers.linear.solver,
@@ -184,9 +194,7 @@ class ImplicitMethod(Method):
             model.free(problem.balance(solved.free).residual),
             jax.lax.stop_gradient(model.assemble_matrix(matrices)),
         )
-        u = model.expand(free, held)
-        info = StepInfo(solved.result, solved.iterations, solved.factorizations, solved.correction)
-        return self.finish(model, state, dt, u, self.motion(state, u), begun), info, solved.memory
+        return model.expand(free, held)
 
 
 def _converge(method: ImplicitMethod, model: Model, state, dt, solvers: Solvers, memory, mapped: bool) -> Solved:

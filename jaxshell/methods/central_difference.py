@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.assembly import Tables, nodal_tables
 from jaxshell.checks import check_finite, is_concrete
+from jaxshell.compiled import compiled
 from jaxshell.elements import corotational
 from jaxshell.methods.base import Method, Observation, StepInfo
 from jaxshell.methods.start import initial_motion
@@ -173,7 +174,7 @@ def _internal(model: Model, x, R) -> tuple[Float[Array, "n 6"], Float[Array, ""]
     return model.assemble_vector(force), jnp.sum(energy)
 
 
-@eqx.filter_jit
+@compiled
 def _stable_step(scene: Scene, tables: Tables) -> Float[Array, ""]:
     """2/ω_max, ω_max the largest frequency of an element of the initial state with its own lumped mass."""
     model = Model.build(scene, tables)

@@ -18,6 +18,7 @@ from jaxshell.elements import corotational, energy_momentum
 from jaxshell.elements.corotational import Element
 from jaxshell.elements.energy_momentum import StepStart, edges_of, mid_matrix, spin_matrix
 from jaxshell.elements.inertia import LINEAR_MASS
+from jaxshell.elements.products import product
 from jaxshell.methods import predictor
 from jaxshell.methods.base import Forces, ImplicitMethod, Motion, Observation
 from jaxshell.methods.start import initial_motion
@@ -142,8 +143,9 @@ class EnergyMomentum(ImplicitMethod):
         smooth = predictor.extrapolate(state.rates, dt)
         is_held = model.tables.held.size > 0
         calm = jnp.zeros_like(smooth) if is_held else predictor.rigid(state.rates, state.x, dt)
+        left = jax.vmap(unbalanced)(jnp.stack([smooth, calm]))
         # Where the extrapolation gives no number at all, the comparison is false.
-        return jnp.where(unbalanced(smooth) < unbalanced(calm), smooth, calm)
+        return jnp.where(left[0] < left[1], smooth, calm)
 
     def mixed_matrices(self, model: Model, state, begun, u, last, tangent: str) -> Float[Array, "m 18 18"]:
         """Tangents with the stresses that the last correction predicts linearly, as in `jaxshell.methods.static`.
@@ -246,14 +248,14 @@ def _masses(element: Element) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]
 def _director_step(u, start: DirectorMotion, element: Element, dt):
     """Mid-point directors t_m (3, 3) and the rate of their momenta Σ_b J_ab (ṫ₁ - ṫ₀)_b/Δt (3, 3)."""
     # t_m = ½ (I + cay(θ)) t₀, from t₁ - t₀ = θ × t_m.
-    middle = jnp.sum(jax.vmap(mid_matrix)(u[:, 3:]) * start.director[:, None, :], axis=2)
+    middle = jax.vmap(lambda A, t: product(A, t))(jax.vmap(mid_matrix)(u[:, 3:]), start.director)
     change = jnp.cross(u[:, 3:], middle)
-    return middle, _masses(element)[1] @ (2.0 * (change / dt - start.rate) / dt)
+    return middle, product(_masses(element)[1], 2.0 * (change / dt - start.rate) / dt)
 
 
 def director_inertia_forces(u, start: DirectorMotion, element: Element, dt) -> Float[Array, "18"]:
     """Force Σ_b M_ab (v₁ - v₀)_b/Δt and moment t_m,a × Σ_b J_ab (ṫ₁ - ṫ₀)_b/Δt on every node a."""
-    force = _masses(element)[0] @ (2.0 * (u[:, :3] / dt - start.v) / dt)
+    force = product(_masses(element)[0], 2.0 * (u[:, :3] / dt - start.v) / dt)
     moment = jnp.cross(*_director_step(u, start, element, dt))
     return jnp.stack([force, moment], axis=1).reshape(18)
 
@@ -264,10 +266,10 @@ def director_inertia_tangent(motion: Motion, u, start: DirectorMotion, element: 
     middle, rate = _director_step(u, start, element, dt)
     end = 2.0 * middle - start.director
     skews = jax.vmap(skew)
-    by_theta = -jnp.sum(skews(end)[..., None] * motion.spin[:, None], axis=2)  # δt₁ = δω × t₁
-    moved = jnp.sum(skews(middle)[:, None, :, :, None] * by_theta[None, :, None], axis=3)  # (a, b, 3, 3)
+    by_theta = -jax.vmap(product)(skews(end), motion.spin)  # δt₁ = δω × t₁
+    moved = jax.vmap(lambda t: jax.vmap(lambda B: product(t, B))(by_theta))(skews(middle))  # (a, b, 3, 3)
+    turned = -0.5 * jax.vmap(product)(skews(rate), by_theta)
     moved = rotary[:, :, None, None] * moved
-    turned = -0.5 * jnp.sum(skews(rate)[..., None] * by_theta[:, None], axis=2)
     eye = jnp.eye(3)
     moments = jnp.transpose(moved + eye[:, :, None, None] * turned[:, None], (0, 2, 1, 3))
     forces = mass[:, None, :, None] * eye[None, :, None, :]

@@ -1,0 +1,25 @@
+"""How jaxshell's own programs are compiled: `eqx.filter_jit`, with options for XLA where the program is ours alone."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+
+OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
+"""XLA's older code generator: on CPUs it takes half the time to compile these programs, and they run no slower
+(`python benchmarks/compile_time.py`). Given to the versions of JAX that it was tried with only."""
+
+
+def compiled(function: Callable) -> Callable:
+    """`eqx.filter_jit`; where the call is part of a program of the user's, that program's options hold."""
+    alone = eqx.filter_jit(function, compiler_options=OPTIONS)
+    within = eqx.filter_jit(function)
+
+    @functools.wraps(function)
+    def call(*arguments):
+        traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments))
+        return (within if traced else alone)(*arguments)
+
+    return call
