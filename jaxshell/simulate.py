@@ -6,6 +6,7 @@ a chunk's histories only, shows progress and hands them to the file. When `simul
 """
 
 import contextlib
+import dataclasses
 import time
 from typing import Any, NamedTuple
 
@@ -30,6 +31,10 @@ from jaxshell.step_control import StepControl
 
 _CHUNK_STEPS = 50
 """Steps between two looks of the host: often enough for a progress bar, seldom enough to cost nothing."""
+
+
+_STOPS = 128
+"""Under step control, room for so many output times and kinks at a time."""
 
 
 class SimulationError(RuntimeError):
@@ -192,8 +197,10 @@ def _fixed_chunks(run: Run, model, carry, steps, start):
 
 def _controlled_chunks(run: Run, model, carry, steps: Controlled, start):
     """Run under step control; yields as `_fixed_chunks`, with a frame at every output time."""
-    control = steps.control
+    # Where the run lands is traced, its number of stops in blocks: other outputs compile nothing anew.
+    control = dataclasses.replace(steps.control, output_interval=None)
     outputs, stops = (start + times for times in (steps.outputs, steps.stops))
+    stops = np.pad(stops, (0, -len(stops) % _STOPS), mode="edge")
     attempts = program.Attempts(carry, control.start(start))
     while float(attempts.control.time) < stops[-1] and int(attempts.carry.result) == SUCCESSFUL:
         attempts, found = program.try_steps(

@@ -274,6 +274,7 @@ def test_numbering_of_nodes_and_triangles_does_not_matter(scene, nodes, triangle
     assert np.abs(np.asarray(found.R)[:, nodes] - plain.R).max() <= 1e-9
 
 
+@pytest.mark.slow
 def test_which_edge_is_first_converges_away():
     """Tip of the twisted beam at 400 times its load (a sixth of its length), first edge by first edge: the spread of
     three answers falls faster than the second order of the mesh and is small beside the mesh's own error."""

@@ -8,9 +8,11 @@ import jaxshell as js
 from jaxshell.step_control import StepControl, local_error
 
 
-@pytest.fixture(scope="module")
-def cap():
-    return js.scenes.spherical_cap(divisions=3)
+def cap(force=-27.8, times=(0.0, 1e-6, 1.0), values=(0.0, 1.0, 1.0)) -> js.Scene:
+    """A coarse cap under a force on its apex: one program for every history of three samples."""
+    plain = js.scenes.spherical_cap(divisions=3)
+    load = js.NodalForce([0], [0.0, 0.0, force], js.History(times, values))
+    return js.Scene(plain.mesh, plain.section, plain.supports, [load], watch={"apex": (0, "uz")})
 
 
 def test_the_estimate_is_the_mid_point_rules_local_error():
@@ -25,9 +27,8 @@ def test_the_estimate_is_the_mid_point_rules_local_error():
 
 
 @pytest.mark.parametrize("method", [js.EnergyMomentum(), js.GeneralizedEnergyMomentum()])
-def test_steps_land_on_output_times_and_kinks(cap, method):
-    node = js.NodalForce([0], [0.0, 0.0, -5.0], js.History([0.0, 1.3e-5, 3.1e-5], [0.0, 1.0, 0.5]))
-    scene = js.Scene(cap.mesh, cap.section, cap.supports, [node], watch={"apex": (0, "uz")})
+def test_steps_land_on_output_times_and_kinks(method):
+    scene = cap(-5.0, [0.0, 1.3e-5, 3.1e-5], [0.0, 1.0, 0.5])
     control = StepControl(1e-4, 1e-6, output_interval=1e-5)
     solution = js.simulate(scene, method, dt=control, t_end=4.5e-5)
     np.testing.assert_allclose(solution.frame_times, [0.0, 1e-5, 2e-5, 3e-5, 4e-5, 4.5e-5], rtol=1e-12)
@@ -39,10 +40,9 @@ def test_steps_land_on_output_times_and_kinks(cap, method):
     assert solution.stats["rejected"] >= 0
 
 
-def test_a_tighter_tolerance_is_more_accurate_and_takes_more_steps(cap):
-    node = js.NodalForce([0], [0.0, 0.0, -20.0], js.History.ramp(1e-4))
-    scene = js.Scene(cap.mesh, cap.section, cap.supports, [node], watch={"apex": (0, "uz")})
-    exact = js.simulate(scene, js.EnergyMomentum(), dt=2.5e-7, t_end=1.5e-4, save_every=100)
+def test_a_tighter_tolerance_is_more_accurate_and_takes_more_steps():
+    scene = cap(-20.0, [0.0, 1e-4, 1.0])
+    exact = js.simulate(scene, js.EnergyMomentum(), dt=2.5e-7, t_end=1.5e-4)
     errors, steps = [], []
     for tolerance in (1e-5, 1e-7):
         control = StepControl(tolerance, 1e-6, output_interval=1.5e-4)
@@ -54,28 +54,29 @@ def test_a_tighter_tolerance_is_more_accurate_and_takes_more_steps(cap):
     assert steps[1] > steps[0]
 
 
-def test_a_step_on_which_newton_fails_is_halved(cap):
-    """Two corrections are enough for small steps only: a fixed step of 2e-6 fails."""
-    newton = js.Newton(max_iterations=2)
+def test_a_step_on_which_newton_fails_is_halved():
+    """Two corrections are enough for small steps only: a step of 2e-6 fails, and must not be halved at first."""
+    scene, newton = cap(times=[-1.0, 0.0, 1.0], values=[1.0, 1.0, 1.0]), js.Newton(max_iterations=2)
+    control = StepControl(1e-1, 2e-6, smallest=2e-6, output_interval=2e-5)
     with pytest.raises(js.SimulationError):
-        js.simulate(cap, js.EnergyMomentum(), dt=2e-6, t_end=2e-5, newton=newton)
+        js.simulate(scene, js.EnergyMomentum(), dt=control, t_end=2e-5, newton=newton)
     control = StepControl(1e-1, 2e-6, output_interval=2e-5)
-    solution = js.simulate(cap, js.EnergyMomentum(), dt=control, t_end=2e-5, newton=newton)
+    solution = js.simulate(scene, js.EnergyMomentum(), dt=control, t_end=2e-5, newton=newton)
     assert solution.stats["rejected"] > 0
     assert solution.result == js.RESULTS.successful
 
 
-def test_the_smallest_step_ends_the_run_and_keeps_what_was_done(cap):
+def test_the_smallest_step_ends_the_run_and_keeps_what_was_done():
     control = StepControl(1e-12, 1e-6, smallest=9e-7)
-    solution = js.simulate(cap, js.EnergyMomentum(), dt=control, t_end=4e-5, throw=False)
+    solution = js.simulate(cap(), js.EnergyMomentum(), dt=control, t_end=4e-5, throw=False)
     assert solution.result == js.RESULTS.step_too_small
     assert "smallest" in solution.message and solution.times.size >= 1
 
 
-def test_frozen_steps_repeat_the_run(cap):
+def test_frozen_steps_repeat_the_run():
     control = StepControl(1e-4, 1e-6, output_interval=1e-5)
-    first = js.simulate(cap, js.EnergyMomentum(), dt=control, t_end=3e-5)
-    again = js.simulate(cap, js.EnergyMomentum(), dt=np.asarray(first.step_sizes))
+    first = js.simulate(cap(), js.EnergyMomentum(), dt=control, t_end=3e-5)
+    again = js.simulate(cap(), js.EnergyMomentum(), dt=np.asarray(first.step_sizes))
     np.testing.assert_allclose(again.watched["apex"], first.watched["apex"], rtol=1e-6, atol=1e-12)
 
 
