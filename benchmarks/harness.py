@@ -31,6 +31,8 @@ JAXSHELL = {
     "jaxshell EMC": {"method": "GeneralizedEnergyMomentum"},
     "jaxshell exact": {"method": "EnergyMomentum"},
     "jaxshell Newmark": {"method": "Newmark"},
+    "jaxshell EMC, factors kept": {"method": "GeneralizedEnergyMomentum", "newton": {"reuse": True}},
+    "jaxshell exact, factors kept": {"method": "EnergyMomentum", "newton": {"reuse": True}},
 }
 PEERS = {
     "kratos": ("kratos", {}),

@@ -72,7 +72,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--newton-tolerance", type=float, metavar="TOL", help="default: 1e-8")
     run.add_argument(
-        "--newton-reuse", action="store_true", default=None, help="keep factors over iterations and steps"
+        "--newton-reuse",
+        action=argparse.BooleanOptionalAction,
+        help="keep factors over iterations and steps while they serve (default: no)",
     )
     run.add_argument(
         "--output", type=Path, default=Path("."), metavar="DIR", help="where files go (default: here)"

@@ -29,6 +29,10 @@ _RESIDUAL_SAFETY = 0.1
 """The correction scales with the residual only roughly: ask for ten times less."""
 _GIVE_UP = 1e3
 """Diverged: a correction this many times the shell's size (or radians)."""
+_CONTRACTS = 0.25
+"""A kept factorization is used again while corrections shrink at least by this factor."""
+_PATIENCE = 8
+"""Corrections of a step after which every further one factors."""
 
 
 class Problem(NamedTuple):
@@ -93,7 +97,10 @@ class Newton(eqx.Module):
             Euclidean norm of the raw correction ‖ΔQ‖, in the user's units.
         max_iterations: corrections allowed in a step.
         max_rotation: a correction is scaled down so that no nodal rotation in it exceeds this [rad].
-        reuse: keep a factorization over iterations and steps while it contracts well (chord Newton).
+        reuse: keep a factorization over iterations and steps while it contracts well (chord Newton): more
+            corrections, each far cheaper. The last correction is then about as large as the tolerance, where
+            full iterations end far below it: ask for as much as the answer needs, and for no more than
+            round-off allows.
         criterion: "predicted" (the correction that would follow) or "norm" (‖ΔQ‖ of the last one, as the paper
             does with 1e-6).
 
@@ -152,7 +159,7 @@ class Newton(eqx.Module):
             q = jnp.where(jnp.isfinite(c.correction), length / c.correction, 1.0)
             if self.reuse:
                 predicted = length * q / jnp.maximum(1.0 - q, 0.1)
-                stale = (q > 0.25) & (c.iterations > 0)
+                stale = ((q > _CONTRACTS) & (c.iterations > 0)) | (c.iterations >= _PATIENCE)
             else:
                 predicted = length * q * q
                 stale = jnp.array(True)
@@ -161,15 +168,17 @@ class Newton(eqx.Module):
             else:
                 enough = (length <= self.tolerance) | ((q < 0.5) & (predicted <= self.tolerance))
             bad = ~jnp.isfinite(length) | (length > _GIVE_UP)
-            result = jnp.where(bad, jnp.where(jnp.isfinite(length), DIVERGED, SINGULAR), SUCCESSFUL)
+            # A correction that an old factorization spoiled is not taken; the next factors anew.
+            final = bad & fresh
+            result = jnp.where(final, jnp.where(jnp.isfinite(length), DIVERGED, SINGULAR), SUCCESSFUL)
             return _Carry(
                 jnp.where(bad, c.free, c.free + damping * step),
                 c.free,
-                bad | (enough & whole),
+                final | (enough & whole & ~bad),
                 result,
                 c.iterations + 1,
                 c.factorizations + fresh,
-                jnp.where(whole, length, jnp.inf),
+                jnp.where(whole & ~bad, length, jnp.inf),
                 error,
                 Memory(factorization, values, stale | bad),
             )
