@@ -6,6 +6,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.core
 
 OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
 """XLA's older code generator: on CPUs it takes half the time to compile these programs, and they run no slower
@@ -14,7 +15,8 @@ OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if jax.__versio
 
 def compiled(function: Callable) -> Callable:
     """`eqx.filter_jit`; where the call is part of a program of the user's, that program's options hold."""
-    alone = eqx.filter_jit(function, compiler_options=OPTIONS)
+    # Equinox hands what it does not know to jax.jit, which its signature for type checkers leaves out.
+    alone = eqx.filter_jit(function, compiler_options=OPTIONS)  # pyright: ignore[reportCallIssue]
     within = eqx.filter_jit(function)
 
     @functools.wraps(function)
