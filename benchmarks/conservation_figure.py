@@ -9,13 +9,13 @@ loses its loads at 4 ms; errors are counted from the first step after it.
 
 import argparse
 import itertools
-import re
 import time
 from pathlib import Path
 
 import jax
 import matplotlib
 import numpy as np
+from pages import fill  # beside this script
 
 import jaxshell as js
 from jaxshell.assembly import analyse
@@ -188,11 +188,6 @@ def cost() -> str:
 TABLES = {f.__name__: f for f in (conservation, tolerance, step_size, order, cost)}
 
 
-def _replaced(page: str, name: str, text: str) -> str:
-    block = re.compile(f"<!-- {name} -->.*?<!-- end {name} -->", re.DOTALL)
-    return block.sub(lambda _: f"<!-- {name} -->\n{text}\n<!-- end {name} -->", page)
-
-
 def main() -> None:
     jax.config.update("jax_enable_x64", True)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -201,7 +196,7 @@ def main() -> None:
     for name in parser.parse_args().tables or TABLES:
         text = TABLES[name]()
         print(f"{name}\n{text}\n", flush=True)
-        page.write_text(_replaced(page.read_text(), name, text))
+        fill(page, {name: text})
 
 
 if __name__ == "__main__":

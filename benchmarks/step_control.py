@@ -2,7 +2,7 @@
 
 Each scene with `EnergyMomentum`, fixed steps beside controlled ones: the number of steps, and the error of the first
 watched displacement against a run of many small steps: root mean square over time, as a part of its largest size. The
-opened cap goes through buckling; its picture shows how the steps grow before and after.
+picture is the opened cap's, whose steps grow until it buckles.
 """
 
 from pathlib import Path
@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import matplotlib
 import numpy as np
-from conservation_figure import _replaced
+from pages import fill  # beside this script
 from scipy.interpolate import CubicSpline
 
 import jaxshell as js
@@ -38,7 +38,7 @@ TOLERANCES = (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
 
 
 def compare(scene: js.Scene, duration: float, fine: int, counts) -> list[str]:
-    """Rows of the table: steps and errors, fixed then controlled."""
+    """Two cells of the table, steps and errors: of fixed steps, and of controlled ones."""
     label = next(name for name, _, component in scene.watch if component[0] == "u")
     reference = js.simulate(scene, METHOD, dt=duration / fine, t_end=duration, save_every=50)
     answer = CubicSpline(np.asarray(reference.times), np.asarray(reference.watched[label]))
@@ -57,7 +57,7 @@ def compare(scene: js.Scene, duration: float, fine: int, counts) -> list[str]:
     fixed = [cell(duration / count) for count in counts]
     first = duration / max(counts)
     controlled = [cell(js.StepControl(tol, first, output_interval=duration)) for tol in TOLERANCES]
-    return [" , ".join(fixed).replace(" ,", ","), " , ".join(controlled).replace(" ,", ",")]
+    return [", ".join(fixed), ", ".join(controlled)]
 
 
 def picture(path: Path) -> str:
@@ -85,17 +85,14 @@ def picture(path: Path) -> str:
 
 
 def main() -> None:
-    jax.config.update("jax_enable_x64", True)
     lines = ["| scene | fixed, steps: error | controlled, steps (+ rejected): error |", "|---|---|---|"]
     for name, case in CASES.items():
         lines.append(f"| {name} | {' | '.join(compare(*case))} |")
         print(lines[-1], flush=True)
     lines += ["", "The opened cap of the picture takes " + picture(DOCS / "figures" / "step_control.png")]
     print(lines[-1])
-    page = DOCS / "energy_momentum.md"
-    page.write_text(_replaced(page.read_text(), "step_control", "\n".join(lines)))
+    fill(DOCS / "energy_momentum.md", {"step_control": "\n".join(lines)})
 
 
 if __name__ == "__main__":
-    jax.config.update("jax_enable_x64", True)
     main()

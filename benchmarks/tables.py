@@ -5,9 +5,12 @@ leaves its table as it is.
 """
 
 import json
-import re
 import sys
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+from benchmarks.pages import fill
 
 HERE = Path(__file__).parent
 PAGE = HERE.parent / "docs" / "performance.md"
@@ -106,13 +109,7 @@ def main() -> int:
             tables[name] = make(json.loads(file.read_text()))
     if any(results.glob("work_precision_*.json")):
         tables["to_one_percent"] = to_one_percent(results)
-    page = PAGE.read_text(encoding="utf-8")
-    for name, table in tables.items():
-        block = re.compile(f"(<!-- {name} -->\n).*?(<!-- end {name} -->)", re.DOTALL)
-        if not block.search(page):
-            raise ValueError(f"{PAGE.name} has no place for the table {name!r}.")
-        page = block.sub(lambda m, table=table: f"{m[1]}{table}\n{m[2]}", page)
-    PAGE.write_text(page, encoding="utf-8")
+    fill(PAGE, tables)
     print(f"{PAGE.name}: {', '.join(tables)}")
     return 0
 

@@ -227,9 +227,8 @@ class _Search:
         ]
         larger = [p for p in self.points if p.label == point.label and p.dt > 1.01 * point.dt]
         if isinstance(best.dt, StepControl):
-            larger = []
             reasons[0] += f", step control with a tolerance of {float(best.dt.tolerance):g}"
-        if larger:
+        elif larger:
             nearest = min(larger, key=lambda p: p.dt)
             reasons.append(f"dt = {nearest.dt:.3g} would miss: error {nearest.error:.1e}")
         for label in dict.fromkeys(p.label for p in self.points):
@@ -289,11 +288,10 @@ def inertia_change(scene: Scene, configuration: Configuration, reference: Refere
     if any(run.message for run in runs):
         return np.inf
     with_, without = runs
-    found = signals(scene, np.asarray(with_.displacements))
-    base = Reference(np.asarray(with_.frame_times), dict(found), 0.0, "")
+    base = Reference(np.asarray(with_.frame_times), dict(_signals(with_)), 0.0, "")
     if len(base.times) < 4:
         return np.inf
-    return signal_error(base, base.times, signals(scene, np.asarray(without.displacements)))
+    return signal_error(base, base.times, _signals(without))
 
 
 def _signals(run: Solution):

@@ -5,7 +5,6 @@ does the same for the number of elements; `draw` makes the picture. `jaxshell ch
 `jaxshell.advise` uses the first.
 """
 
-import inspect
 import json
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -27,6 +26,7 @@ from jaxshell.references import (
     signals,
 )
 from jaxshell.scene import Scene
+from jaxshell.scenes import default_divisions
 from jaxshell.simulate import simulate
 from jaxshell.solution import Solution
 from jaxshell.step_control import StepControl
@@ -226,7 +226,7 @@ def chart(
 
 def divided(make: Callable, factor: float):
     """A library scene's default `divisions` times `factor`."""
-    default = inspect.signature(make).parameters["divisions"].default
+    default = default_divisions(make)
     scaled = [max(1, round(factor * count)) for count in np.atleast_1d(default).tolist()]
     return tuple(scaled) if isinstance(default, tuple) else scaled[0]
 

@@ -6,7 +6,6 @@ by the keyboard. JAX and matplotlib are imported when a command needs them, and 
 
 import argparse
 import dataclasses
-import inspect
 import itertools
 import os
 import sys
@@ -311,9 +310,9 @@ def _open_scene(name: str, divisions: Sequence[int] | None = None):
 
 def _counts(name: str, divisions: Sequence[int]):
     """Divisions as the scene's function wants them: one number, or as many as its default has."""
-    from jaxshell.scenes import PAPER
+    from jaxshell.scenes import PAPER, default_divisions
 
-    default = inspect.signature(PAPER[name]).parameters["divisions"].default
+    default = default_divisions(PAPER[name])
     wanted = len(default) if isinstance(default, tuple) else 1
     if len(divisions) != wanted:
         raise ValueError(f"The scene {name!r} takes {wanted} divisions, but {len(divisions)} are given.")

@@ -1,5 +1,8 @@
 """The library of scenes: functions that return a `jaxshell.Scene` with the literature's geometry."""
 
+import inspect
+from collections.abc import Callable
+
 from jaxshell.scenes.dynamic import flying_cylinder, l_shaped_plate, snapping_panel, spinning_plate
 from jaxshell.scenes.paper import free_plate, opened_cap, spherical_cap
 from jaxshell.scenes.static import (
@@ -17,11 +20,18 @@ from jaxshell.scenes.static import (
 PAPER = {"cap": spherical_cap, "plate": free_plate, "opened_cap": opened_cap}
 """The scenes of Yang & Xia 2014, under the names that the command line uses."""
 
+
+def default_divisions(make: Callable) -> int | tuple[int, ...]:
+    """The divisions of the mesh that a function of the library takes by default."""
+    return inspect.signature(make).parameters["divisions"].default
+
+
 __all__ = [
     "PAPER",
     "cantilever_end_moment",
     "cantilever_end_shear",
     "cylinder_pull_out",
+    "default_divisions",
     "flying_cylinder",
     "free_plate",
     "hemisphere",
