@@ -4,6 +4,9 @@ Corrections are measured in the shell's own scale: displacements over the diagon
 rotations in radians; the largest entry counts. The iteration ends when the correction that WOULD follow is
 predicted below the tolerance, from the contraction seen so far or from the residual, so that no solve is
 spent only to see that it was small. A failed iteration is a result with its numbers, never a NaN.
+
+A factorization costs as much as five to twenty corrections with one at hand. So each serves over iterations and
+steps (chord Newton) while the contraction that it gives promises convergence in a few of them.
 """
 
 import functools
@@ -30,9 +33,18 @@ _RESIDUAL_SAFETY = 0.1
 _GIVE_UP = 1e3
 """Diverged: a correction this many times the shell's size (or radians)."""
 _CONTRACTS = 0.25
-"""A kept factorization is used again while corrections shrink at least by this factor."""
+"""A kept factorization is used again while corrections shrink at least by this factor ..."""
+_AFFORDABLE = 6
+"""... and no more than so many are expected to follow: about what a factorization costs on small meshes."""
 _PATIENCE = 8
 """Corrections of a step after which every further one factors."""
+_MARGIN = 1e-2
+"""With kept factorizations corrections shrink linearly, and what remains is about as large as what was predicted:
+a hundredth of the tolerance makes results as near to the converged ones as full iterations' at that tolerance."""
+_NOISE = 1e-10
+"""Corrections below this that shrink no more are round-off."""
+_FIRST_GUESS = 0.1
+"""Contraction of a factorization that has not been used yet."""
 
 
 class Problem(NamedTuple):
@@ -55,7 +67,8 @@ class Linear(NamedTuple):
     def memory(self, newton: "Newton") -> "Memory":
         """Memory before the first step."""
         kept = self.handle.indices.shape if newton.reuse else (0,)
-        return Memory(self.solver.initial_factorization(self.handle), jnp.zeros(kept), jnp.array(True))
+        first = self.solver.initial_factorization(self.handle)
+        return Memory(first, jnp.zeros(kept), jnp.array(True), jnp.array(_FIRST_GUESS))
 
 
 class Memory(eqx.Module):
@@ -66,6 +79,8 @@ class Memory(eqx.Module):
     """The matrix that was factored, where factorizations are reused."""
     stale: Bool[Array, ""]
     """The factorization must not be used again."""
+    contraction: Float[Array, ""]
+    """By which corrections shrank that a factorization of an earlier step gave."""
 
 
 class Solved(NamedTuple):
@@ -98,9 +113,8 @@ class Newton(eqx.Module):
         max_iterations: corrections allowed in a step.
         max_rotation: a correction is scaled down so that no nodal rotation in it exceeds this [rad].
         reuse: keep a factorization over iterations and steps while it contracts well (chord Newton): more
-            corrections, each far cheaper. The last correction is then about as large as the tolerance, where
-            full iterations end far below it: ask for as much as the answer needs, and for no more than
-            round-off allows.
+            corrections, each far cheaper, and a predicted one a hundred times below the tolerance at the end.
+            False factors in every iteration, which statics does by default.
         criterion: "predicted" (the correction that would follow) or "norm" (‖ΔQ‖ of the last one, as the paper
             does with 1e-6).
 
@@ -110,7 +124,7 @@ class Newton(eqx.Module):
     tolerance: float = 1e-8
     max_iterations: int = eqx.field(static=True, default=25)
     max_rotation: float = 0.3
-    reuse: bool = eqx.field(static=True, default=False)
+    reuse: bool = eqx.field(static=True, default=True)
     criterion: str = eqx.field(static=True, default="predicted")
 
     def __check_init__(self):
@@ -155,18 +169,14 @@ class Newton(eqx.Module):
             damping = jnp.where(turn > 0, damping, 1.0)
             length = jnp.max(jnp.abs(scale * step))
             whole = damping == 1.0
-            # Contraction: quadratic where the tangent is of this iterate and the last, else linear.
             q = jnp.where(jnp.isfinite(c.correction), length / c.correction, 1.0)
-            if self.reuse:
-                predicted = length * q / jnp.maximum(1.0 - q, 0.1)
-                stale = ((q > _CONTRACTS) & (c.iterations > 0)) | (c.iterations >= _PATIENCE)
-            else:
-                predicted = length * q * q
-                stale = jnp.array(True)
+            target, predicted, contraction, stale = self._outlook(c, length, q, fresh)
             if self.criterion == "norm":
                 enough = jnp.linalg.norm(step) <= self.tolerance
             else:
-                enough = (length <= self.tolerance) | ((q < 0.5) & (predicted <= self.tolerance))
+                enough = (length <= target) | ((q < 0.5) & (predicted <= target))
+                if self.reuse:
+                    enough |= (q > 0.5) & (c.correction < _NOISE)
             bad = ~jnp.isfinite(length) | (length > _GIVE_UP)
             # A correction that an old factorization spoiled is not taken; the next factors anew.
             final = bad & fresh
@@ -180,14 +190,15 @@ class Newton(eqx.Module):
                 c.factorizations + fresh,
                 jnp.where(whole & ~bad, length, jnp.inf),
                 error,
-                Memory(factorization, values, stale | bad),
+                Memory(factorization, values, stale | bad, contraction),
             )
 
         def body(c: _Carry):
             r, error = relative(problem.balance(c.free))
             settled = error < _ROUND_OFF
             if self.criterion == "predicted":
-                settled |= c.correction * error < _RESIDUAL_SAFETY * self.tolerance * c.error
+                safety = _RESIDUAL_SAFETY * (_MARGIN if self.reuse else 1.0)
+                settled |= c.correction * error < safety * self.tolerance * c.error
             broken = ~jnp.isfinite(error)
             stop = c._replace(done=jnp.array(True), result=jnp.where(broken, DIVERGED, c.result))
             return lax.cond(settled | broken, lambda: stop, lambda: advance(c, r, error))
@@ -200,6 +211,26 @@ class Newton(eqx.Module):
         end = lax.while_loop(lambda c: ~c.done & (c.iterations < self.max_iterations), body, start)
         result = jnp.where(end.done, end.result, STAGNATED)
         return Solved(end.free, result, end.iterations, end.factorizations, end.correction, end.memory)
+
+    def _outlook(self, c: _Carry, length, q, fresh):
+        """After a correction of scaled `length`, `q` times the last one, whose matrix was its iterate's if `fresh`:
+
+        (what the next must be below, the next as predicted, the contraction to remember, whether to factor).
+        """
+        if not self.reuse:  # Quadratic: the tangents are those of this iterate and of the last.
+            return self.tolerance, length * q * q, c.memory.contraction, jnp.array(True)
+        target, first = _MARGIN * self.tolerance, c.iterations == 0
+        linear = q / jnp.maximum(1.0 - q, 0.1)
+        # After a kept factorization's correction a fresh one's q is still the kept one's, hence no square.
+        quadratic = jnp.where(c.factorizations == c.iterations, q * q, q)
+        predicted = length * jnp.where(first, 1.0, jnp.where(fresh, quadratic, linear))
+        earlier = ~fresh & (c.factorizations == 0)
+        contraction = jnp.where(earlier & (c.iterations == 1), q, c.memory.contraction)
+        # Of further corrections with this factorization.
+        expected = jnp.where(first, c.memory.contraction, q)
+        to_go = jnp.log(length * expected / target) / -jnp.log(jnp.clip(expected, 1e-10, 0.99))
+        hopeless = (expected > _CONTRACTS) | (to_go > _AFFORDABLE)
+        return target, predicted, contraction, (~fresh & hopeless) | (c.iterations >= _PATIENCE)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))

@@ -46,7 +46,7 @@ from jaxshell.simulate import (
 )
 from jaxshell.solution import RESULTS, Solution, Stats
 
-DEFAULT_NEWTON = Newton(tolerance=1e-12)
+DEFAULT_NEWTON = Newton(tolerance=1e-12, reuse=False)
 """Tighter than in dynamics, so that loads and reactions are in balance to 1e-9."""
 _CUTS = 10
 """A load step is halved at most this many times."""

@@ -63,13 +63,16 @@ GUESS = jnp.array([0.5, 0.8])
 def test_it_stops_without_a_solve_too_many():
     """The contraction tells that the next correction is small; the paper's ‖ΔQ‖ solves once more for it."""
     exact = root(4.0)
-    found = solve(Newton(), 4.0, GUESS)
-    assert int(found.result) == SUCCESSFUL
-    np.testing.assert_allclose(found.free, exact, atol=1e-8)
-    by_norm = solve(Newton(tolerance=1e-6, criterion="norm"), 4.0, GUESS)
+    for reuse in (False, True):
+        found = solve(Newton(reuse=reuse), 4.0, GUESS)
+        assert int(found.result) == SUCCESSFUL
+        np.testing.assert_allclose(found.free, exact, atol=1e-8)
+    by_norm = solve(Newton(tolerance=1e-6, criterion="norm", reuse=False), 4.0, GUESS)
     assert int(by_norm.result) == SUCCESSFUL
     np.testing.assert_allclose(by_norm.free, exact, atol=1e-10)
-    predicted, norm = (solve(Newton(1e-6, criterion=name), 4.0, GUESS) for name in ("predicted", "norm"))
+    predicted, norm = (
+        solve(Newton(1e-6, criterion=name, reuse=False), 4.0, GUESS) for name in ("predicted", "norm")
+    )
     np.testing.assert_allclose(predicted.free, exact, atol=1e-6 * SIZE)
     assert int(predicted.iterations) == int(norm.iterations) - 1
 
@@ -84,6 +87,33 @@ def test_a_kept_factorization_gives_the_same_root():
     np.testing.assert_allclose(kept.free, fresh.free, atol=1e-8)
     assert int(kept.factorizations) < int(kept.iterations)
     assert int(fresh.factorizations) == int(fresh.iterations)
+
+
+def test_round_off_ends_the_iteration_with_kept_factorizations():
+    """Asked for less than round-off allows, corrections that shrink no more are taken for what they are."""
+
+    def noisy(u):
+        return residual(u, 4.0) + 1e-12 * jnp.sin(1e14 * u)
+
+    solver = linear()
+    equations = problem(noisy)._replace(matrix=lambda u, _: jax.jacfwd(residual)(u, 4.0).reshape(-1))
+    found = Newton(tolerance=1e-16).solve(equations, GUESS, SIZE, ROTATES, solver, solver.memory(Newton()))
+    assert int(found.result) == SUCCESSFUL and int(found.iterations) < 20
+    np.testing.assert_allclose(found.free, root(4.0), atol=1e-10)
+
+
+def test_a_step_whose_kept_factorization_is_poor_ends_with_its_own():
+    """The matrix kept is that of a state far away: one look at it, then fresh ones, and as good a root."""
+    solver = linear()
+
+    def after(memory, load, guess):
+        equations = problem(lambda u: residual(u, load))
+        return Newton().solve(equations, guess, SIZE, ROTATES, solver, memory)
+
+    before = after(solver.memory(Newton()), 1e3, jnp.asarray(root(1e3)) + 0.01)
+    found = after(before.memory, 4.0, GUESS)
+    assert int(found.result) == SUCCESSFUL and 0 < int(found.factorizations) <= 4
+    np.testing.assert_allclose(found.free, root(4.0), atol=1e-10)
 
 
 def test_rotations_of_an_iterate_are_bounded():
