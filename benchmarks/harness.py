@@ -31,8 +31,8 @@ JAXSHELL = {
     "jaxshell EMC": {"method": "GeneralizedEnergyMomentum"},
     "jaxshell exact": {"method": "EnergyMomentum"},
     "jaxshell Newmark": {"method": "Newmark"},
-    "jaxshell EMC, factors kept": {"method": "GeneralizedEnergyMomentum", "newton": {"reuse": True}},
-    "jaxshell exact, factors kept": {"method": "EnergyMomentum", "newton": {"reuse": True}},
+    "jaxshell EMC, full Newton": {"method": "GeneralizedEnergyMomentum", "newton": {"reuse": False}},
+    "jaxshell exact, full Newton": {"method": "EnergyMomentum", "newton": {"reuse": False}},
 }
 PEERS = {
     "kratos": ("kratos", {}),

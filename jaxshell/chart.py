@@ -190,7 +190,7 @@ def configurations(scene: Scene, dt: float, t_end: float) -> list[Configuration]
     found.append(Configuration("tangent", "tangent by autodiff", gem(), dt, tangent="autodiff"))
     for tolerance in (1e-3, 1e-5, 1e-11):
         found.append(Configuration("newton", f"Newton to {tolerance:g}", gem(), dt, Newton(tolerance)))
-    found.append(Configuration("newton", "factors reused", gem(), dt, Newton(reuse=True)))
+    found.append(Configuration("newton", "full Newton", gem(), dt, Newton(reuse=False)))
     solvers: list[LinearSolver] = [KLU()] if type(default_solver()) is not KLU else []
     if 6 * scene.mesh.n_nodes - len(scene.held_dofs) <= _DENSE_UNKNOWNS:
         solvers.append(Dense())

@@ -73,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--newton-reuse",
         action=argparse.BooleanOptionalAction,
-        help="keep factors over iterations and steps while they serve (default: no)",
+        help="keep factors over iterations and steps while they serve (default: yes)",
     )
     run.add_argument(
         "--output", type=Path, default=Path("."), metavar="DIR", help="where files go (default: here)"

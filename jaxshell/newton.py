@@ -36,13 +36,18 @@ _CONTRACTS = 0.25
 """A kept factorization is used again while corrections shrink at least by this factor ..."""
 _AFFORDABLE = 6
 """... and no more than so many are expected to follow: about what a factorization costs on small meshes."""
+_USELESS, _FORGETS = 0.5, 0.8
+"""A step starts with its own factorization if the last step's left more than this of the error; to be tried again
+later, what is remembered of it fades by this factor a step."""
 _PATIENCE = 8
 """Corrections of a step after which every further one factors."""
 _MARGIN = 1e-2
 """With kept factorizations corrections shrink linearly, and what remains is about as large as what was predicted:
 a hundredth of the tolerance makes results as near to the converged ones as full iterations' at that tolerance."""
+_FLOOR = 1e-13
+"""The margin asks for nothing below this, ..."""
 _NOISE = 1e-10
-"""Corrections below this that shrink no more are round-off."""
+"""... and corrections below this that shrink no more, their factorization being their own, are round-off."""
 _FIRST_GUESS = 0.1
 """Contraction of a factorization that has not been used yet."""
 
@@ -102,6 +107,8 @@ class _Carry(NamedTuple):
     correction: Float[Array, ""]
     error: Float[Array, ""]
     memory: Memory
+    hard: Bool[Array, ""]
+    """A factorization of this step contracted slowly."""
 
 
 class Newton(eqx.Module):
@@ -170,13 +177,13 @@ class Newton(eqx.Module):
             length = jnp.max(jnp.abs(scale * step))
             whole = damping == 1.0
             q = jnp.where(jnp.isfinite(c.correction), length / c.correction, 1.0)
-            target, predicted, contraction, stale = self._outlook(c, length, q, fresh)
+            target, predicted, contraction, stale, hard = self._outlook(c, length, q, fresh)
             if self.criterion == "norm":
                 enough = jnp.linalg.norm(step) <= self.tolerance
             else:
                 enough = (length <= target) | ((q < 0.5) & (predicted <= target))
                 if self.reuse:
-                    enough |= (q > 0.5) & (c.correction < _NOISE)
+                    enough |= fresh & (q > 0.5) & (c.correction < _NOISE)
             bad = ~jnp.isfinite(length) | (length > _GIVE_UP)
             # A correction that an old factorization spoiled is not taken; the next factors anew.
             final = bad & fresh
@@ -191,14 +198,15 @@ class Newton(eqx.Module):
                 jnp.where(whole & ~bad, length, jnp.inf),
                 error,
                 Memory(factorization, values, stale | bad, contraction),
+                hard,
             )
 
         def body(c: _Carry):
             r, error = relative(problem.balance(c.free))
             settled = error < _ROUND_OFF
-            if self.criterion == "predicted":
-                safety = _RESIDUAL_SAFETY * (_MARGIN if self.reuse else 1.0)
-                settled |= c.correction * error < safety * self.tolerance * c.error
+            if self.criterion == "predicted" and not self.reuse:
+                # Kept factorizations leave errors in soft directions, which residuals hardly show.
+                settled |= c.correction * error < _RESIDUAL_SAFETY * self.tolerance * c.error
             broken = ~jnp.isfinite(error)
             stop = c._replace(done=jnp.array(True), result=jnp.where(broken, DIVERGED, c.result))
             return lax.cond(settled | broken, lambda: stop, lambda: advance(c, r, error))
@@ -206,31 +214,41 @@ class Newton(eqx.Module):
         zero = jnp.zeros((), jnp.int32)
         start = _Carry(
             guess, jnp.zeros_like(guess), jnp.array(False), zero, zero, zero,
-            jnp.array(jnp.inf), jnp.array(0.0), memory,
+            jnp.array(jnp.inf), jnp.array(0.0), memory, jnp.array(False),
         )
         end = lax.while_loop(lambda c: ~c.done & (c.iterations < self.max_iterations), body, start)
         result = jnp.where(end.done, end.result, STAGNATED)
-        return Solved(end.free, result, end.iterations, end.factorizations, end.correction, end.memory)
+        kept = end.memory
+        if self.reuse:
+            useless = (kept.contraction > _USELESS) | (result != SUCCESSFUL)
+            kept = eqx.tree_at(lambda m: m.stale, kept, kept.stale | useless)
+        return Solved(end.free, result, end.iterations, end.factorizations, end.correction, kept)
 
     def _outlook(self, c: _Carry, length, q, fresh):
         """After a correction of scaled `length`, `q` times the last one, whose matrix was its iterate's if `fresh`:
 
-        (what the next must be below, the next as predicted, the contraction to remember, whether to factor).
+        (what the next must be below, the next as predicted, the contraction to remember, whether to factor, whether
+        the step is a hard one).
         """
         if not self.reuse:  # Quadratic: the tangents are those of this iterate and of the last.
-            return self.tolerance, length * q * q, c.memory.contraction, jnp.array(True)
-        target, first = _MARGIN * self.tolerance, c.iterations == 0
+            return self.tolerance, length * q * q, c.memory.contraction, jnp.array(True), c.hard
+        target = jnp.maximum(_MARGIN * self.tolerance, jnp.minimum(self.tolerance, _FLOOR))
+        first = c.iterations == 0
         linear = q / jnp.maximum(1.0 - q, 0.1)
         # After a kept factorization's correction a fresh one's q is still the kept one's, hence no square.
         quadratic = jnp.where(c.factorizations == c.iterations, q * q, q)
         predicted = length * jnp.where(first, 1.0, jnp.where(fresh, quadratic, linear))
         earlier = ~fresh & (c.factorizations == 0)
         contraction = jnp.where(earlier & (c.iterations == 1), q, c.memory.contraction)
+        contraction = jnp.where(first & fresh, _FORGETS * contraction, contraction)
         # Of further corrections with this factorization.
         expected = jnp.where(first, c.memory.contraction, q)
         to_go = jnp.log(length * expected / target) / -jnp.log(jnp.clip(expected, 1e-10, 0.99))
-        hopeless = (expected > _CONTRACTS) | (to_go > _AFFORDABLE)
-        return target, predicted, contraction, (~fresh & hopeless) | (c.iterations >= _PATIENCE)
+        slow = expected > _CONTRACTS
+        # A step on which even its own factorizations serve once only is a long way off: full iterations.
+        hard = c.hard | (slow & ~fresh & (c.factorizations > 0))
+        stale = jnp.where(fresh, hard & slow, slow | (to_go > _AFFORDABLE)) | (c.iterations >= _PATIENCE)
+        return target, predicted, contraction, stale, hard
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))

@@ -23,10 +23,14 @@ def scene():
     return cap()
 
 
+TIGHT = js.Newton(tolerance=1e-12)
+"""What depends on the path of the iterates (a factorization kept or not) is then below what runs are compared to."""
+
+
 @pytest.fixture(scope="module")
 def whole(scene):
     """A hundred steps, a frame of every second."""
-    return js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2)
+    return js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, newton=TIGHT)
 
 
 def close(found, expected, tolerance=1e-9):
@@ -52,7 +56,7 @@ def test_histories_at_every_step_and_frames_at_every_second(whole, scene):
 
 def test_frames_apart_leave_the_histories_as_they_are(whole, scene):
     """Also where the steps are no multiple of those between frames: the last frame is the end."""
-    sparse = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=7)
+    sparse = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=7, newton=TIGHT)
     np.testing.assert_allclose(sparse.frame_times, DT * np.array([*range(0, STEPS, 7), STEPS]), rtol=1e-14)
     close(sparse.watched["apex"], whole.watched["apex"])
     close(sparse.displacements[-1], whole.displacements[-1])
@@ -61,10 +65,12 @@ def test_frames_apart_leave_the_histories_as_they_are(whole, scene):
 def test_an_array_of_steps(whole, scene):
     """Half of the steps, then as many of half the size: what the run and a restart with smaller steps give."""
     half = STEPS // 2
-    both = js.simulate(scene, EMC, dt=np.repeat([DT, 0.5 * DT], half), save_every=2)
+    both = js.simulate(scene, EMC, dt=np.repeat([DT, 0.5 * DT], half), save_every=2, newton=TIGHT)
     close(both.watched["apex"][: half + 1], whole.watched["apex"][: half + 1], 1e-12)
-    first = js.simulate(scene, EMC, dt=[DT] * half, save_every=2)
-    second = js.simulate(scene, EMC, dt=0.5 * DT, t_end=0.5 * half * DT, save_every=2, restart=first)
+    first = js.simulate(scene, EMC, dt=[DT] * half, save_every=2, newton=TIGHT)
+    second = js.simulate(
+        scene, EMC, dt=0.5 * DT, t_end=0.5 * half * DT, save_every=2, restart=first, newton=TIGHT
+    )
     np.testing.assert_allclose(both.times[half:], second.times, rtol=1e-12)
     close(both.watched["apex"][half:], second.watched["apex"], 1e-10)
 
@@ -76,8 +82,8 @@ def test_a_duration_that_is_no_multiple_of_the_step_ends_with_a_shorter_one(scen
 
 def test_restart_goes_on_as_if_nothing_had_happened(whole, scene):
     half = STEPS // 2
-    first = js.simulate(scene, EMC, dt=DT, t_end=half * DT, save_every=2)
-    second = js.simulate(scene, EMC, dt=DT, t_end=half * DT, save_every=2, restart=first)
+    first = js.simulate(scene, EMC, dt=DT, t_end=half * DT, save_every=2, newton=TIGHT)
+    second = js.simulate(scene, EMC, dt=DT, t_end=half * DT, save_every=2, restart=first, newton=TIGHT)
     np.testing.assert_allclose(second.times, whole.times[half:], rtol=1e-13)
     close(second.watched["apex"], whole.watched["apex"][half:], 1e-10)
     close(second.energy.total, whole.energy.total[half:], 1e-10)
@@ -86,7 +92,7 @@ def test_restart_goes_on_as_if_nothing_had_happened(whole, scene):
 
 
 def test_autodiff_and_closed_form_give_the_same_run(whole, scene):
-    autodiff = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, tangent="autodiff")
+    autodiff = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, tangent="autodiff", newton=TIGHT)
     np.testing.assert_array_equal(autodiff.iterations, whole.iterations)
     close(autodiff.displacements, whole.displacements, 1e-10)
     close(autodiff.energy.total, whole.energy.total, 1e-10)
@@ -94,27 +100,32 @@ def test_autodiff_and_closed_form_give_the_same_run(whole, scene):
 
 @pytest.mark.parametrize("solver", [js.Dense(), js.KLU()], ids=["dense", "klu"])
 def test_linear_solvers_give_the_same_run(solver, whole, scene):
-    solution = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, linear_solver=solver)
+    solution = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, linear_solver=solver, newton=TIGHT)
     close(solution.displacements, whole.displacements)
 
 
 def test_the_papers_criterion(whole, scene):
-    """‖ΔQ‖ ≤ 1e-6, eq. (100): the same run within what that leaves, one iteration a step more or so."""
+    """‖ΔQ‖ ≤ 1e-6, eq. (100): the same run within what that leaves."""
     paper = js.Newton(tolerance=1e-6, criterion="norm")
     solution = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, newton=paper)
     close(solution.watched["apex"], whole.watched["apex"], 1e-5)
-    assert int(solution.iterations.sum()) >= int(whole.iterations.sum())
 
 
-def test_a_kept_factorization_gives_the_same_run(whole, scene):
-    solution = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, newton=js.Newton(reuse=True))
-    close(solution.displacements, whole.displacements, 1e-5)
-    assert solution.stats["factorizations"] < whole.stats["factorizations"]
+def test_kept_factorizations_give_the_same_run_and_are_fewer(whole, scene):
+    """At the same tolerance nearer to the converged run than full iterations, for fewer factorizations."""
+    kept, full = (
+        js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, newton=js.Newton(reuse=reuse))
+        for reuse in (True, False)
+    )
+    close(kept.displacements, whole.displacements, 1e-7)
+    close(full.displacements, whole.displacements, 1e-5)
+    assert full.stats["factorizations"] == full.stats["iterations"]
+    assert kept.stats["factorizations"] < 0.7 * full.stats["factorizations"]
 
 
 def test_results_go_to_disk_as_they_come(whole, scene, tmp_path):
     path = tmp_path / "cap.h5"
-    returned = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, output=path)
+    returned = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, output=path, newton=TIGHT)
     loaded = js.Solution.load(path)
     for name in ("times", "iterations", "frame_times", "displacements", "velocities"):
         np.testing.assert_array_equal(getattr(loaded, name), getattr(returned, name), err_msg=name)

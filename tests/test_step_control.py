@@ -56,7 +56,7 @@ def test_a_tighter_tolerance_is_more_accurate_and_takes_more_steps():
 
 def test_a_step_on_which_newton_fails_is_halved():
     """Two corrections are enough for small steps only: a step of 2e-6 fails, and must not be halved at first."""
-    scene, newton = cap(times=[-1.0, 0.0, 1.0], values=[1.0, 1.0, 1.0]), js.Newton(max_iterations=2)
+    scene, newton = cap(times=[-1.0, 0.0, 1.0], values=[1.0, 1.0, 1.0]), js.Newton(max_iterations=2, reuse=False)
     control = StepControl(1e-1, 2e-6, smallest=2e-6, output_interval=2e-5)
     with pytest.raises(js.SimulationError):
         js.simulate(scene, js.EnergyMomentum(), dt=control, t_end=2e-5, newton=newton)
