@@ -1,4 +1,4 @@
-"""Tables in the pages of docs/: each has its place between `<!-- name -->` and `<!-- end name -->`."""
+"""Tables in the pages of docs/: how they are written, and their places between `<!-- name -->` and `<!-- end name -->`."""
 
 import re
 from pathlib import Path
@@ -13,3 +13,9 @@ def fill(page: Path, tables: dict[str, str]) -> None:
             raise ValueError(f"{page.name} has no place for the table {name!r}.")
         text = block.sub(lambda found, table=table: f"{found[1]}{table}\n{found[2]}", text)
     page.write_text(text, encoding="utf-8")
+
+
+def table(header: list[str], rows: list[list[str]]) -> str:
+    """A table in Markdown."""
+    lines = ["| " + " | ".join(cells) + " |" for cells in (header, *rows)]
+    return "\n".join([lines[0], "|" + "---|" * len(header), *lines[1:]])

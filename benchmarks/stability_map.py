@@ -1,10 +1,12 @@
 """Stability map: method × time step × scene over long runs. Who survives, who fails, when and how.
 
     python benchmarks/stability_map.py                 # the full map (tens of minutes), into docs/
+    python benchmarks/stability_map.py --redraw        # its tables and picture again from the figures, without a run
     python benchmarks/stability_map.py --quick --output DIR
 
 Writes `stability_map.json` (every figure), `stability_map.png`, and the tables: into the page stability.md of
-the output folder between its markers, or where there is no such page into `stability_map.md`.
+the output folder between its markers `<!-- map -->` and `<!-- inside -->`, or where there is no such page into
+`stability_map.md`.
 
 Drift is (K + S - W)/max|W|, the energy that the method made (+) or lost (-) as part of the work of the loads.
 Newton may take 100 iterations here, so that a failure is the method's; where its default limit of 25 would have
@@ -14,9 +16,12 @@ ended the run is recorded.
 import argparse
 import itertools
 import json
+import sys
 import time
 from pathlib import Path
 from typing import NamedTuple
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
 
 import equinox as eqx
 import jax
@@ -26,6 +31,7 @@ import numpy as np
 from matplotlib import cm, colors, patches
 
 import jaxshell as js
+from benchmarks.pages import fill, table
 from jaxshell.assembly import nodal_tables
 from jaxshell.elements import corotational
 from jaxshell.methods import Method
@@ -37,7 +43,7 @@ GROWN = 0.05
 LEFT = 0.01
 """Size of the drift whose first crossing is recorded."""
 PATIENT, USUAL = js.Newton(max_iterations=100), js.Newton().max_iterations
-BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
+DOCS = Path(__file__).parent.parent / "docs"
 
 
 class Case(NamedTuple):
@@ -225,40 +231,41 @@ def _verdict(row: dict) -> str:
 
 
 def map_table(rows: list[dict]) -> str:
-    lines = []
+    header = [
+        "method", "Δt", "outcome", "drift: most", "least", "at the end", "momentum", "angular momentum",
+        "iterations a step (most)",
+    ]  # fmt: skip
+    tables = []
     for scene, group in itertools.groupby(rows, key=lambda row: row["scene"]):
-        lines += [
-            f"\n**{scene}**\n",
-            "| method | Δt | outcome | drift: most | least | at the end | momentum | angular momentum "
-            "| iterations a step (most) |",
-            "|---|---|---|---|---|---|---|---|---|",
-        ]
+        cells = []
         for row in sorted(group, key=lambda row: row["dt"], reverse=True):
             mean, most = row["iterations_mean"], row["iterations_max"]
-            cells = [row["method"], f"{row['dt']:.3g}", _verdict(row)]
-            cells += [_percent(row[key]) for key in ("drift_max", "drift_min", "drift_end")]
-            cells += ["" if row[k] is None else f"{row[k]:.0e}" for k in ("momentum_drift", "angular_drift")]
-            cells.append(f"{mean:.1f} ({most})" if most else "none")
-            lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+            cells.append([row["method"], f"{row['dt']:.3g}", _verdict(row)])
+            cells[-1] += [_percent(row[key]) for key in ("drift_max", "drift_min", "drift_end")]
+            cells[-1] += ["" if row[k] is None else f"{row[k]:.0e}" for k in ("momentum_drift", "angular_drift")]
+            cells[-1].append(f"{mean:.1f} ({most})" if most else "none")
+        tables.append(f"**{scene}**\n\n{table(header, cells)}")
+    return "\n\n".join(tables)
 
 
 def anatomy_table(anatomies: dict[str, list[dict]]) -> str:
-    lines = []
+    header = [
+        "step", "drift", "alternation of accelerations", "largest [m/s²]", "membrane energy [J]",
+        "bending energy [J]", "rotation per step [rad]", "iterations",
+    ]  # fmt: skip
+    tables = []
     for label, rows in anatomies.items():
-        lines += [
-            f"\n**{label}** on the plate, Δt = {rows[0]['time'] / rows[0]['step']:.3g} s\n",
-            "| step | drift | alternation of accelerations | largest [m/s²] | membrane energy [J] "
-            "| bending energy [J] | rotation per step [rad] | iterations |",
-            "|---|---|---|---|---|---|---|---|",
-        ]
-        lines += [
-            f"| {r['step']} | {_percent(r['drift'])} | {r['alternation']:.2f} "
-            f"| {r['largest_acceleration']:.1e} | {r['membrane_energy']:.2f} | {r['bending_energy']:.1f} "
-            f"| {r['rotation_per_step']:.2f} | {r['iterations']} |"
+        cells = [
+            [
+                str(r["step"]), _percent(r["drift"]), f"{r['alternation']:.2f}", f"{r['largest_acceleration']:.1e}",
+                f"{r['membrane_energy']:.2f}", f"{r['bending_energy']:.1f}", f"{r['rotation_per_step']:.2f}",
+                str(r["iterations"]),
+            ]
             for r in rows
-        ]
-    return "\n".join(lines)
+        ]  # fmt: skip
+        step = rows[0]["time"] / rows[0]["step"]
+        tables.append(f"**{label}** on the plate, Δt = {step:.3g} s\n\n{table(header, cells)}")
+    return "\n\n".join(tables)
 
 
 def picture(rows: list[dict], path: Path) -> None:
@@ -303,24 +310,36 @@ def picture(rows: list[dict], path: Path) -> None:
 
 
 def write(rows: list[dict], anatomies: dict, output: Path) -> None:
+    """The figures, and what is drawn from them."""
     output.mkdir(parents=True, exist_ok=True)
     content = {"runs": rows, "anatomies": anatomies}
     (output / "stability_map.json").write_text(json.dumps(content, indent=1) + "\n")
-    picture(rows, output / "stability_map.png")
-    text = map_table(rows) + ("\n\n### Inside the runs\n" + anatomy_table(anatomies) if anatomies else "")
+    draw(output)
+
+
+def draw(output: Path) -> None:
+    """The picture and the tables from the figures in the output folder."""
+    content = json.loads((output / "stability_map.json").read_text())
+    picture(content["runs"], output / "stability_map.png")
+    tables = {"map": map_table(content["runs"])}
+    if content["anatomies"]:
+        tables["inside"] = anatomy_table(content["anatomies"])
     page = output / "stability.md"
-    if page.exists() and BEGIN in (old := page.read_text()):
-        head, tail = old.split(BEGIN)[0], old.split(END)[1]
-        page.write_text(f"{head}{BEGIN}\n{text}\n\n{END}{tail}")
+    if page.exists():
+        fill(page, tables)
     else:
-        (output / "stability_map.md").write_text(text.strip() + "\n")
+        (output / "stability_map.md").write_text("\n\n".join(tables.values()) + "\n")
 
 
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Method by time step by scene: who survives, who fails, when and how.")
     parser.add_argument("--quick", action="store_true", help="one short scene and three methods")
-    parser.add_argument("--output", type=Path, default=Path(__file__).parents[1] / "docs")
+    parser.add_argument("--redraw", action="store_true", help="tables and picture from stability_map.json, no run")
+    parser.add_argument("--output", type=Path, default=DOCS)
     options = parser.parse_args(arguments)
+    if options.redraw:
+        draw(options.output)
+        return
     jax.config.update("jax_enable_x64", True)
     rows: list[dict] = []
     for case in cases(options.quick):

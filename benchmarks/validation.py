@@ -1,52 +1,64 @@
-"""Prints every figure of docs/validation.md: `python benchmarks/validation.py [name ...]`.
+"""The figures of docs/validation.md: statics, limit loads and frequencies beside published ones.
 
-The references are Sze, Liu & Lo 2004 (tables of load factor and displacement) unless a name says otherwise.
+    python benchmarks/validation.py                        # all tables (some ten minutes), into the page
+    python benchmarks/validation.py end_moment plates      # some of them
+
+Tables go between the page's markers `<!-- NAME -->` and `<!-- end NAME -->`, and to the screen. The references are
+Sze, Liu & Lo 2004 (tables of load factor and displacement) unless a title says otherwise.
 """
 
+import argparse
 import sys
-import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
 
 import jax
+import numpy as np
+
+import jaxshell as js
+from benchmarks.pages import fill, table
+from jaxshell import generators, scenes
+from jaxshell.supports import ALL
 
 jax.config.update("jax_enable_x64", True)
 
-import numpy as np  # noqa: E402
-
-import jaxshell as js  # noqa: E402
-from jaxshell import generators, scenes  # noqa: E402
-from jaxshell.supports import ALL  # noqa: E402
+PAGE = Path(__file__).parent.parent / "docs" / "validation.md"
 
 
-def table(title, rows, header):
-    print(f"\n{title}")
-    print("  " + " | ".join(f"{h:>12}" for h in header))
-    for row in rows:
-        print("  " + " | ".join(f"{c:>12}" if isinstance(c, str) else f"{c:12.4f}" for c in row))
+def titled(title, header, rows) -> str:
+    """A table under its title; numbers to four digits."""
+    cells = [[cell if isinstance(cell, str) else f"{cell:.4f}" for cell in row] for row in rows]
+    return f"**{title}**\n\n{table(header, cells)}"
 
 
-def against_reference(name, scene_of, meshes, reference, factors):
+def cells_of(mesh) -> str:
+    return "×".join(map(str, mesh))
+
+
+def against_reference(name, scene_of, meshes, reference, factors) -> str:
     """`reference` {watch: {load factor: value}}; `factors` are the load steps."""
     rows = []
     for mesh in meshes:
-        begun = time.perf_counter()
         run = js.solve_static(scene_of(mesh), factors, throw=False)
-        wall = time.perf_counter() - begun
         for label, values in reference.items():
             for factor, value in values.items():
                 at = np.flatnonzero(np.isclose(np.asarray(run.times), factor))
-                found = float(run.watched[label][at[0]]) if at.size else np.nan
-                rows.append(["×".join(map(str, mesh)), label, factor, found, value, f"{found / value - 1:+.2%}"])
-        rows.append([f"{wall:.0f} s", f"{run.stats['iterations']} its", *4 * [""]])
+                found = ["not reached", value, ""]
+                if at.size:
+                    answer = float(run.watched[label][at[0]])
+                    found = [answer, value, f"{answer / value - 1:+.2%}"]
+                rows.append([cells_of(mesh), label, factor, *found])
         if run.message:
-            print("  " + run.message)
-    table(name, rows, ["mesh", "point", "load factor", "found", "reference", "difference"])
+            print(f"{name}, {cells_of(mesh)}: {run.message}")
+    return titled(name, ["mesh", "point", "load factor", "found", "reference", "difference"], rows)
 
 
 def tenths(*more):
     return np.unique(np.round([*np.arange(1, 11) / 10, *more], 6))
 
 
-def end_moment():
+def end_moment() -> str:
     curvature = 12 * np.array([0.25, 0.5, 0.75]) * 50 * np.pi / 3 / 100
     exact_u, exact_w = 12 * np.sin(curvature) / curvature - 12, 12 * (1 - np.cos(curvature)) / curvature
     factors = (0.25, 0.5, 0.75)
@@ -55,78 +67,79 @@ def end_moment():
         "tip w": dict(zip(factors, exact_w, strict=True)),
     }
     meshes = [(10, 1), (20, 1), (40, 1), (40, 2)]
-    against_reference(
+    text = against_reference(
         "cantilever, end moment (exact)", scenes.cantilever_end_moment, meshes, reference, tenths(0.25, 0.75)
     )
     run = js.solve_static(scenes.cantilever_end_moment((40, 1)))
-    print(
-        f"  40×1, ten steps: iterations {np.asarray(run.iterations)[1:].tolist()}, "
+    return (
+        f"{text}\n\n40×1, ten steps: iterations {np.asarray(run.iterations)[1:].tolist()}, "
         f"tip misses the clamped end by {abs(float(run.watched['tip u'][-1]) + 12) / 12:.1e} (u) "
-        f"and {abs(float(run.watched['tip w'][-1])) / 12:.1e} (w) of the length"
+        f"and {abs(float(run.watched['tip w'][-1])) / 12:.1e} (w) of the length."
     )
 
 
-def end_shear():
+def end_shear() -> str:
     reference = {"tip u": {0.5: -1.604, 1.0: -3.286}, "tip w": {0.5: 4.933, 1.0: 6.698}}
-    against_reference(
+    return against_reference(
         "cantilever, end shear", scenes.cantilever_end_shear, [(8, 1), (16, 1), (32, 1)], reference, tenths()
     )
 
 
-def slit_annular_plate():
+def slit_annular_plate() -> str:
     reference = {"A": {0.1: 4.277, 0.5: 10.468, 1.0: 13.891}, "B": {0.1: 5.876, 0.5: 13.768, 1.0: 17.528}}
     meshes = [(6, 30), (6, 60), (10, 80)]
-    against_reference("slit annular plate", scenes.slit_annular_plate, meshes, reference, tenths())
+    return against_reference("slit annular plate", scenes.slit_annular_plate, meshes, reference, tenths())
 
 
-def cylinder_pull_out():
+def cylinder_pull_out() -> str:
     reference = {
         "A": {0.1: 1.707, 0.5: 2.473, 1.0: 2.768},
         "B": {0.1: -2.217, 0.5: -3.653, 1.0: -4.551},
         "C": {0.1: -2.293, 0.5: -3.718, 1.0: -3.269},
     }
     meshes = [(8, 12), (16, 24), (24, 36)]
-    against_reference(
+    return against_reference(
         "pull-out of an open cylinder", scenes.cylinder_pull_out, meshes, reference, np.arange(1, 41) / 40
     )
 
 
-def pinched_cylinder():
+def pinched_cylinder() -> str:
     reference = {
         "A": {0.05: -9.561, 0.1: -23.164, 0.5: -73.790, 1.0: -83.102},
         "B": {0.1: -2.391, 0.5: 25.381, 1.0: 34.272},
     }
     meshes = [(16, 16), (24, 24), (40, 40)]
-    against_reference("pinched cylinder", scenes.pinched_cylinder, meshes, reference, np.arange(1, 41) / 40)
+    return against_reference("pinched cylinder", scenes.pinched_cylinder, meshes, reference, np.arange(1, 41) / 40)
 
 
-def pinched_semi_cylinder():
+def pinched_semi_cylinder() -> str:
     reference = {"A": {0.1: -16.100, 0.3: -66.410, 0.5: -132.653, 1.0: -171.505}}
     meshes = [(16, 16), (24, 24), (32, 32), (40, 40)]
-    against_reference("pinched semi-cylinder", scenes.pinched_semi_cylinder, meshes, reference, np.arange(1, 41) / 40)
+    return against_reference("pinched semi-cylinder", scenes.pinched_semi_cylinder, meshes, reference, np.arange(1, 41) / 40)
 
 
-def hemisphere():
+def hemisphere() -> str:
     reference = {  # Abaqus STRI3, quarter model
         "inward": {0.4: -3.31, 0.6: -4.36, 1.0: -5.91},
         "outward": {0.4: 2.31, 0.6: 2.80, 1.0: 3.38},
     }
     meshes = [(8, 8), (16, 16), (24, 24), (32, 32)]
-    against_reference("hemisphere with a hole (Abaqus STRI3)", scenes.hemisphere, meshes, reference, tenths())
+    return against_reference("hemisphere with a hole (Abaqus STRI3)", scenes.hemisphere, meshes, reference, tenths())
 
 
-def twisted_beam():
+def twisted_beam() -> str:
     rows = []
     for load, exact in (("in-plane", 5.424e-3), ("out-of-plane", 1.754e-3)):
         for mesh in ((6, 1), (12, 2), (24, 4), (48, 8)):
             run = js.solve_static(scenes.twisted_beam(mesh, load), [1.0])
             found = float(run.watched["tip"][-1])
-            rows.append([load, "×".join(map(str, mesh)), f"{found:.4e}", f"{exact:.4e}", f"{found / exact - 1:+.2%}"])
-    table("twisted beam (MacNeal & Harder 1985)", rows, ["load", "mesh", "found", "reference", "difference"])
+            rows.append([load, cells_of(mesh), f"{found:.4e}", f"{exact:.4e}", f"{found / exact - 1:+.2%}"])
+    return titled("twisted beam (MacNeal & Harder 1985)", ["load", "mesh", "found", "reference", "difference"], rows)
 
 
-def hinged_roof():
+def hinged_roof() -> str:
     limits = {12.7: [(0.7421, 11.293), (0.1729, 19.852)], 6.35: [(0.1953, 12.892), (-0.1288, 15.778)]}
+    tables = []
     for thickness, reference in limits.items():
         rows = []
         for mesh in ((8, 8), (16, 16), (24, 24)):
@@ -137,16 +150,16 @@ def hinged_roof():
             for point, at in zip(reference, turning, strict=False):
                 fit = np.polyfit([-1.0, 0.0, 1.0], factors[at - 1 : at + 2], 2)
                 value = np.polyval(fit, -fit[1] / (2 * fit[0]))
-                rows.append(
-                    ["×".join(map(str, mesh)), value, point[0], f"{value / point[0] - 1:+.2%}", centre[at], point[1]]
-                )
+                rows.append([cells_of(mesh), value, point[0], f"{value / point[0] - 1:+.2%}", centre[at], point[1]])
         header = ["mesh", "limit load", "reference", "difference", "deflection", "reference"]
-        table(f"hinged roof, h = {thickness}: limit loads by arc length", rows, header)
+        tables.append(titled(f"hinged roof, h = {thickness}: limit loads by arc length", header, rows))
+    return "\n\n".join(tables)
 
 
-def plates():
+def plates() -> str:
     h, young_modulus, nu, density = 0.005, 1e7, 0.3, 2.0
     unit = np.sqrt(young_modulus * h**3 / (12 * (1 - nu**2)) / (density * h)) / (2 * np.pi)
+    tables = []
     for name, held, exact in (
         ("clamped (Leissa 1973)", ALL, [35.992, 73.413, 73.413, 108.27]),
         ("free (Hurlebaus et al. 2001)", None, [13.468, 19.596, 24.270, 34.801, 34.801]),
@@ -161,10 +174,12 @@ def plates():
             rows.append([f"{n}×{n}", *found])
             rows.append(["", *(f"{f / e - 1:+.2%}" for f, e in zip(found, exact, strict=True))])
         rows.append(["reference", *exact])
-        table(f"square plate, {name}: ω a² (ρh/D)^½", rows, ["mesh", *(f"mode {k + 1}" for k in range(len(exact)))])
+        header = ["mesh", *(f"mode {k + 1}" for k in range(len(exact)))]
+        tables.append(titled(f"square plate, {name}: ω a² (ρh/D)^½", header, rows))
+    return "\n\n".join(tables)
 
 
-def first_edge():
+def first_edge() -> str:
     """Each triangle's nodes in the three cyclic orders: the spread of an answer over them, and over the meshes."""
 
     def sheared(mesh):
@@ -185,15 +200,23 @@ def first_edge():
     def energy(run):
         return float(run.energy.strain[-1])
 
+    def short(value):
+        return f"{value:.1e}".replace("e-0", "e-")
+
+    # Name, scene, meshes, load factors, answer and its unit.
+    squares = [(4, 4), (8, 8), (16, 16), (32, 32)]
+    fifths = np.arange(1, 6) / 5
     problems = [
-        ("twisted beam, F = 400", scenes.twisted_beam, [(6, 1), (12, 2), (24, 4)], [200.0, 400.0], watched("tip")),
-        ("slit annular plate", scenes.slit_annular_plate, [(3, 15), (6, 30), (12, 60)], tenths(), watched("B")),
-        ("hemisphere", scenes.hemisphere, [(8, 8), (16, 16), (32, 32)], np.arange(1, 6) / 5, watched("inward")),
-        ("square sheared by 0.02", sheared, [(4, 4), (8, 8), (16, 16), (32, 32)], [0.02], energy),
-        ("square sheared by 0.2", sheared, [(4, 4), (8, 8), (16, 16), (32, 32)], [0.1, 0.2], energy),
-    ]
-    for name, scene_of, meshes, factors, answer in problems:
-        rows, last = [], None
+        ("twisted beam at 400 times its load (tip)", scenes.twisted_beam, [(6, 1), (12, 2), (24, 4)], [200.0, 400.0],
+         watched("tip"), 1.0),
+        ("slit annular plate (B)", scenes.slit_annular_plate, [(3, 15), (6, 30), (12, 60)], tenths(), watched("B"), 1.0),
+        ("hemisphere (inward)", scenes.hemisphere, [(8, 8), (16, 16), (32, 32)], fifths, watched("inward"), 1.0),
+        ("square sheared in its plane by 0.02 (energy, 1e-6)", sheared, squares, [0.02], energy, 1e-6),
+        ("the same by 0.2 (energy, 1e-4)", sheared, squares, [0.1, 0.2], energy, 1e-4),
+    ]  # fmt: skip
+    rows = []
+    for name, scene_of, meshes, factors, answer, unit in problems:
+        last = None
         for mesh in meshes:
             scene, found = scene_of(mesh), []
             for shift in range(3):
@@ -201,19 +224,30 @@ def first_edge():
                 watch = {label: (node, component) for label, node, component in scene.watch}
                 run = js.solve_static(js.Scene(turned, scene.section, scene.supports, scene.loads, watch=watch), factors)
                 found.append(answer(run))
-            change = "" if last is None else f"{abs(found[0] - last) / abs(found[0]):.1e}"
-            spread = f"{np.ptp(found) / abs(found[0]):.1e}"
-            rows.append(["×".join(map(str, mesh)), *(f"{value:.6g}" for value in found), spread, change])
-            last = found[0]
-        table(f"which edge is 1-2: {name}", rows, ["mesh", "first", "second", "third", "spread", "from coarser"])
+            change = "" if last is None else short(abs(found[0] - last) / abs(found[0]))
+            answers = ", ".join(f"{value / unit:#.6g}" for value in found)
+            rows.append([name, cells_of(mesh), answers, short(np.ptp(found) / abs(found[0])), change])
+            name, last = "", found[0]
+    return table(["problem", "mesh", "answers by edge first, second, third", "spread", "from coarser mesh"], rows)
 
 
-STUDIES = (
-    end_moment, end_shear, slit_annular_plate, cylinder_pull_out, pinched_cylinder, pinched_semi_cylinder,
-    hemisphere, twisted_beam, hinged_roof, plates, first_edge,
-)  # fmt: skip
+TABLES = {
+    study.__name__: study
+    for study in (
+        end_moment, end_shear, slit_annular_plate, cylinder_pull_out, pinched_cylinder, pinched_semi_cylinder,
+        hemisphere, twisted_beam, hinged_roof, plates, first_edge,
+    )
+}  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tables", nargs="*", choices=[[], *TABLES], help="which tables; all by default")
+    for name in parser.parse_args().tables or TABLES:
+        text = TABLES[name]()
+        print(f"{name}\n{text}\n", flush=True)
+        fill(PAGE, {name: text})
+
 
 if __name__ == "__main__":
-    for study in STUDIES:
-        if len(sys.argv) == 1 or study.__name__ in sys.argv[1:]:
-            study()
+    main()

@@ -238,7 +238,8 @@ def _chart(options: argparse.Namespace) -> int:
 
 def _advise(options: argparse.Namespace) -> int:
     _prepare_jax()
-    from jaxshell.advise import advise, command_line, describe, run_section
+    from jaxshell.advice_text import command_line, describe, run_section
+    from jaxshell.advise import advise
     from jaxshell.scenes import PAPER
 
     scene, settings, _ = _open_scene(options.scene)

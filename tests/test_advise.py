@@ -13,6 +13,7 @@ import jaxshell as js  # noqa: E402
 from jaxshell import advise as advising  # noqa: E402
 from jaxshell import chart as charting  # noqa: E402
 from jaxshell import references  # noqa: E402
+from jaxshell.advice_text import command_line, describe, run_section  # noqa: E402
 from jaxshell.chart import Configuration, Point  # noqa: E402
 from jaxshell.cli import main  # noqa: E402
 from jaxshell.references import Reference  # noqa: E402
@@ -192,7 +193,7 @@ def test_cheapest_that_meets_the_tolerance(pretend):
     # 1.1 · 0.25² = 0.069 is the largest of the halvings below 0.8 · 0.1.
     assert advice.met and best.dt == 0.25 and best.method == GEM(inertia="none")
     assert float(best.newton.tolerance) == 1e-6 and not best.newton.reuse
-    text = advising.describe(cap(), advice)
+    text = describe(cap(), advice)
     for words in (
         "rotary inertia changes the answer by 3.0e-05: left out",
         "dt = 0.5 would miss",
@@ -222,9 +223,9 @@ def test_step_control_where_it_is_cheapest(pretend):
     advice = advising.advise(cap(), 0.1, dt=1.0, say=lambda _: None, reference=SINE)
     assert isinstance(advice.best.dt, js.StepControl)
     tolerance = advice.best.dt.tolerance
-    assert f"js.StepControl({tolerance:g}, initial=1)" in advising.describe(cap(), advice)
-    assert f"--dt 1 --step-tolerance {tolerance:g}" in advising.command_line("cap", advice)
-    run = tomllib.loads(advising.run_section(cap(), advice))["run"]
+    assert f"js.StepControl({tolerance:g}, initial=1)" in describe(cap(), advice)
+    assert f"--dt 1 --step-tolerance {tolerance:g}" in command_line("cap", advice)
+    run = tomllib.loads(run_section(cap(), advice))["run"]
     assert set(run) <= set(RUN_KEYS) and run["step_tolerance"] == pytest.approx(tolerance)
 
 
@@ -235,8 +236,8 @@ def test_fewer_elements_where_they_suffice(pretend, monkeypatch):
     pretend.enough[0] = 72
     make = js.scenes.spherical_cap
     advice = advising.advise(make(), 0.1, dt=1.0, say=lambda _: None, reference=SINE, make=make)
-    assert advice.divisions == 6 and "--divisions 6" in advising.command_line("cap", advice)
-    text = advising.describe(make(), advice)
+    assert advice.divisions == 6 and "--divisions 6" in command_line("cap", advice)
+    text = describe(make(), advice)
     assert "50 triangles (divisions 5) are not enough" in text and "450 triangles would change" in text
 
 

@@ -13,7 +13,7 @@ jax.config.update("jax_enable_x64", True)
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
-from benchmarks import harness, tables, workers  # noqa: E402
+from benchmarks import harness, stability_map, tables, validation, workers  # noqa: E402
 from benchmarks.cases import SCENES, write_case  # noqa: E402
 
 ECHO = """
@@ -113,3 +113,37 @@ def test_page_has_a_place_for_every_table(tmp_path, monkeypatch):
     for name in ("speed", "scaling", "cold_start", "references", "to_one_percent"):
         assert f"<!-- {name} -->" in text and f"<!-- end {name} -->" in text
     assert "| cap | 0.00025 of 0.00025 |" in text
+
+
+def test_validation_fills_its_page(tmp_path, monkeypatch, capsys):
+    """Every table has its place; one asked for by name lands in its own, and nothing else moves."""
+    page = tmp_path / "page.md"
+    before = validation.PAGE.read_text(encoding="utf-8")
+    page.write_text(before, encoding="utf-8")
+    monkeypatch.setattr(validation, "PAGE", page)
+    for name in validation.TABLES:
+        assert before.count(f"<!-- {name} -->") == before.count(f"<!-- end {name} -->") == 1
+    monkeypatch.setitem(validation.TABLES, "plates", lambda: validation.titled("t", ["mesh", "w"], [["8×8", 0.12345]]))
+    monkeypatch.setattr(sys, "argv", ["validation.py", "plates"])
+    validation.main()
+    table = "**t**\n\n| mesh | w |\n|---|---|\n| 8×8 | 0.1235 |\n"
+    head, rest = before.split("<!-- plates -->\n")
+    tail = rest.split("<!-- end plates -->")[1]
+    assert page.read_text(encoding="utf-8") == f"{head}<!-- plates -->\n{table}<!-- end plates -->{tail}"
+    assert table in capsys.readouterr().out
+
+
+def test_stability_page_is_drawn_from_its_figures(tmp_path):
+    """Redrawn from stability_map.json, the page is what it is; from a changed figure it is not."""
+    for name in ("stability.md", "stability_map.json"):
+        (tmp_path / name).write_bytes((stability_map.DOCS / name).read_bytes())
+    stability_map.main(["--redraw", "--output", str(tmp_path)])
+    page = (stability_map.DOCS / "stability.md").read_text(encoding="utf-8")
+    assert (tmp_path / "stability.md").read_text(encoding="utf-8") == page
+
+    figures = json.loads((tmp_path / "stability_map.json").read_text())
+    figures["runs"][0]["end"], figures["anatomies"]["Newmark 1/4, 1/2"][0]["drift"] = 0.123, 0.5
+    (tmp_path / "stability_map.json").write_text(json.dumps(figures))
+    stability_map.main(["--redraw", "--output", str(tmp_path)])
+    changed = (tmp_path / "stability.md").read_text(encoding="utf-8")
+    assert "t = 0.123;" in changed and "| 50 | +50 % |" in changed

@@ -1,79 +1,28 @@
-"""The three linear solvers against dense LAPACK, their kept factorizations in loops, and their gradients."""
-
-import os
-import platform
-import subprocess
-import sys
-from pathlib import Path
+"""The three linear solvers against dense LAPACK, their derivatives and batches, and bad input."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.sparse
-
-from jaxshell.linear_solver import (
-    KLU,
-    Dense,
-    Pardiso,
-    SparsityPattern,
-    default_solver,
-    linear_solve,
-    multiply,
-    relative_residual,
+from systems import (
+    PATTERN,
+    RHS,
+    ROUND_OFF,
+    SOLVERS,
+    N,
+    available,
+    random_values,
+    relative_error,
+    shell_pattern,
+    to_dense,
 )
 
-ROUND_OFF = 1e-12  # of matrices whose condition numbers are below 100
+from jaxshell.linear_solver import KLU, Dense, SparsityPattern, linear_solve, relative_residual
 
 
-@pytest.fixture(params=[Pardiso, KLU, Dense], ids=lambda solver: solver.__name__)
+@pytest.fixture(params=SOLVERS, ids=lambda kind: kind.__name__)
 def solver(request):
-    try:
-        return request.param()
-    except ImportError as error:
-        pytest.skip(str(error))
-
-
-@pytest.fixture
-def pardiso():
-    try:
-        return Pardiso()
-    except ImportError as error:
-        pytest.skip(str(error))
-
-
-def shell_pattern(columns, rows):
-    """Six unknowns a node on a structured mesh of triangles."""
-    node = np.arange((columns + 1) * (rows + 1)).reshape(columns + 1, rows + 1)
-    a, b, c, d = (part.ravel() for part in (node[:-1, :-1], node[1:, :-1], node[1:, 1:], node[:-1, 1:]))
-    triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    i, j = np.repeat(triangles, 3, axis=1).ravel(), np.tile(triangles, (1, 3)).ravel()
-    nodes = np.zeros((node.size, node.size))
-    nodes[i, j] = 1.0
-    rows, columns = np.nonzero(np.kron(nodes, np.ones((6, 6))))
-    size = 6 * node.size
-    return SparsityPattern(size, np.searchsorted(rows, np.arange(size + 1)), columns)
-
-
-def random_values(pattern, seed=0):
-    """Unsymmetric, with a diagonal that keeps the condition number low."""
-    values = np.random.default_rng(seed).standard_normal(len(pattern.indices.array))
-    return jnp.asarray(values + 40.0 * (pattern.rows == pattern.indices.array))
-
-
-def to_dense(pattern, values):
-    shape = (pattern.size, pattern.size)
-    csr = (np.asarray(values), pattern.indices.array, pattern.indptr.array)
-    return scipy.sparse.csr_matrix(csr, shape=shape).toarray()
-
-
-def relative_error(x, reference):
-    return np.linalg.norm(x - reference) / np.linalg.norm(reference)
-
-
-PATTERN = shell_pattern(3, 2)
-N = PATTERN.size
-RHS = jnp.asarray(np.random.default_rng(1).standard_normal(N))
+    return available(request.param)
 
 
 @pytest.mark.parametrize("mesh", [(1, 1), (4, 3), (9, 5)])
@@ -117,89 +66,6 @@ def test_prepare_while_tracing_is_concrete_and_happens_once(solver):
     same = SparsityPattern(pattern.size, pattern.indptr.array.copy(), pattern.indices.array.copy())
     assert hash(same) == hash(pattern) and same == pattern
     assert type(solver)().prepare(same) is handles[0]
-
-
-def chord_scan(solver, handle, start, rhs, matrices, refactor):
-    """x of K_k x = rhs for a list of matrices, by chord iterations with the LU of the last refactored K.
-
-    The factorization is a carry of the scan and of the loop in it; `refactor` says when to factor anew.
-    """
-
-    def step(factorization, inputs):
-        values, anew = inputs
-
-        def iterate(carry):
-            x, factorization, count = carry
-            factorization = jax.lax.cond(
-                anew & (count == 0), lambda: solver.factor(handle, values), lambda: factorization
-            )
-            residual = rhs - multiply(handle, values, x)
-            return x + solver.solve(handle, factorization, values, residual), factorization, count + 1
-
-        def unfinished(carry):
-            return (relative_residual(handle, values, carry[0], rhs) > 1e-13) & (carry[2] < 100)
-
-        x, factorization, count = jax.lax.while_loop(
-            unfinished, iterate, (jnp.zeros(rhs.shape), factorization, jnp.zeros((), jnp.int32))
-        )
-        return factorization, (x, count)
-
-    return jax.lax.scan(step, start, (matrices, refactor))
-
-
-def chord_problem(pattern, steps):
-    noise = np.random.default_rng(2).standard_normal((steps, len(pattern.indices.array)))
-    refactor = jnp.arange(steps) % 10 == 0
-    return random_values(pattern) + 0.1 * jnp.asarray(noise), refactor
-
-
-def test_factorization_is_kept_over_iterations_and_steps(solver):
-    matrices, refactor = chord_problem(PATTERN, 20)
-    handle = solver.prepare(PATTERN)
-    run = jax.jit(chord_scan, static_argnums=0)
-    start = solver.initial_factorization(handle)
-    last, (x, counts) = run(solver, handle, start, RHS, matrices, refactor)
-    for values, solution in zip(matrices, x, strict=True):
-        assert relative_error(solution, np.linalg.solve(to_dense(PATTERN, values), RHS)) < ROUND_OFF
-    # One iteration is the sign of a fresh LU, more are the sign of one kept from an earlier step.
-    assert np.all(counts[refactor] <= 2) and np.all(counts[~refactor] > 2)
-    # What the compiled program hands back may be used by the next one.
-    onward = run(solver, handle, last, RHS, matrices[11:13], refactor[11:13])[1]
-    assert np.array_equal(onward[0], x[11:13])
-
-
-def test_pardiso_never_analyses_again(pardiso):
-    primitive = pytest.importorskip("pardiso_mkl_jax.primitive")
-    pattern = shell_pattern(5, 2)  # of this test alone: no other can have had it evicted
-    rhs = jnp.ones(pattern.size)
-    matrices, refactor = chord_problem(pattern, 200)
-    handle = pardiso.prepare(pattern)
-    run = jax.jit(chord_scan, static_argnums=0)
-    primitive.reset_rebuild_count()
-    counts = [primitive._ffi.analysis_count(name) for name in handle.native]
-    assert counts == [1, 1]
-    for scale in (1.0, 2.0, 3.0):
-        start = pardiso.initial_factorization(handle)
-        run(pardiso, handle, start, rhs, scale * matrices, refactor)[1][0].block_until_ready()
-        jax.grad(lambda v: linear_solve(pardiso, handle, v, rhs).sum())(
-            scale * matrices[0]
-        ).block_until_ready()
-    assert primitive.rebuild_count() == 0
-    assert [primitive._ffi.analysis_count(name) for name in handle.native] == counts
-
-
-def test_linear_solve_leaves_a_kept_factorization_alone(solver):
-    handle = solver.prepare(PATTERN)
-    kept, other = random_values(PATTERN), random_values(PATTERN, seed=5)
-
-    @jax.jit
-    def run(kept, other):
-        factorization = solver.factor(handle, kept)
-        between = linear_solve(solver, handle, other, RHS)
-        # The rhs depends on `between`, so the kept factorization is used after the other matrix was solved.
-        return solver.solve(handle, factorization, kept, RHS + 0.0 * between)
-
-    assert relative_error(run(kept, other), np.linalg.solve(to_dense(PATTERN, kept), RHS)) < ROUND_OFF
 
 
 def test_jvp_and_vjp_agree_and_match_finite_differences(solver):
@@ -279,24 +145,6 @@ def test_nested_vmap(solver):
             assert relative_error(mapped[i, j], solve(values[i], rhs[j])) < ROUND_OFF
 
 
-def test_kept_factorization_under_vmap(solver):
-    handle, values = solver.prepare(PATTERN), random_values(PATTERN)
-    both = jnp.stack([values, 2 * values])
-    rhs = jnp.stack([RHS, RHS**2])
-    factorization = solver.factor(handle, values)
-    mapped = jax.vmap(lambda b: solver.solve(handle, factorization, values, b))(rhs)
-    assert relative_error(mapped[1], np.linalg.solve(to_dense(PATTERN, values), rhs[1])) < ROUND_OFF
-
-    def factor_then_solve(values):
-        return solver.solve(handle, solver.factor(handle, values), values, RHS)
-
-    if isinstance(solver, Dense):
-        assert relative_error(jax.vmap(factor_then_solve)(both)[1], factor_then_solve(both[1])) < ROUND_OFF
-    else:
-        with pytest.raises(NotImplementedError, match="cannot be mapped over matrices"):
-            jax.vmap(factor_then_solve)(both)
-
-
 def singular_values():
     """Column 3 a copy of column 4: the two belong to one node, so their rows are the same."""
     values, columns = np.array(random_values(PATTERN)), PATTERN.indices.array
@@ -356,63 +204,3 @@ def test_bad_values(solver):
         solver.factor_and_solve(handle, jnp.ones(3), RHS)
     with pytest.raises(ValueError, match="not float32"):
         linear_solve(solver, handle, random_values(PATTERN).astype(jnp.float32), RHS)
-
-
-@pytest.mark.parametrize(
-    "solver, module, package", [(Pardiso, "pardiso_mkl_jax", "pardiso-mkl-jax"), (KLU, "klujax", "klujax")]
-)
-def test_missing_package(monkeypatch, solver, module, package):
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(ImportError, match=f"pip install {package}"):
-        solver()
-
-
-def test_default_solver(monkeypatch):
-    monkeypatch.setattr(platform, "machine", lambda: "arm64")
-    assert not isinstance(default_solver(), Pardiso)
-    monkeypatch.setattr(platform, "machine", lambda: "x86_64")
-    for module, missing_from_here in (("pardiso_mkl_jax", Pardiso), ("klujax", KLU)):
-        monkeypatch.setitem(sys.modules, module, None)
-        assert not isinstance(default_solver(), missing_from_here)
-    assert isinstance(default_solver(), Dense)
-
-
-def in_fresh_process(code):
-    root = str(Path(__file__).parents[1])
-    environment = {k: v for k, v in os.environ.items() if k not in ("JAX_ENABLE_X64", "MKL_NUM_THREADS")}
-    environment["PYTHONPATH"] = root + os.pathsep + environment.get("PYTHONPATH", "")
-    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
-    assert run.returncode == 0, run.stderr
-
-
-def test_import_changes_nothing():
-    in_fresh_process(
-        "import os, sys, jax\n"
-        "before, environment = jax.config.values, dict(os.environ)\n"
-        "import jaxshell.linear_solver\n"
-        "assert jax.config.values == before and dict(os.environ) == environment\n"
-        "assert 'pardiso_mkl_jax' not in sys.modules and 'klujax' not in sys.modules\n"
-    )
-
-
-def test_preparing_changes_no_setting_of_jax(solver):
-    in_fresh_process(
-        "import jax\n"
-        f"from jaxshell.linear_solver import {type(solver).__name__}, SparsityPattern\n"
-        "before = jax.config.values\n"
-        "with jax.enable_x64(True):\n"
-        f"    {type(solver).__name__}().prepare(SparsityPattern(1, [0, 1], [0]))\n"
-        "assert jax.config.values == before\n"
-    )
-
-
-def test_float64_off(solver):
-    in_fresh_process(
-        f"from jaxshell.linear_solver import {type(solver).__name__}, SparsityPattern\n"
-        "try:\n"
-        f"    {type(solver).__name__}().prepare(SparsityPattern(1, [0, 1], [0]))\n"
-        "except RuntimeError as error:\n"
-        "    assert 'jax_enable_x64' in str(error)\n"
-        "else:\n"
-        "    raise SystemExit('no error')\n"
-    )
