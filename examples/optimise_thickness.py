@@ -59,6 +59,9 @@ optimiser = optax.adam(2e-5)
 @jax.jit
 def improve(thickness, memory):
     (_, peak), gradient = jax.value_and_grad(smooth_peak, has_aux=True)(thickness)
+    # Per unit of area and less its mean: what mass can be moved for. Thicker is stiffer almost everywhere, and Adam,
+    # which looks at signs first, would thicken every element alike, which the projection takes back.
+    gradient = gradient / area - jnp.sum(gradient) / jnp.sum(area)
     step, memory = optimiser.update(gradient, memory)
     return project(optax.apply_updates(thickness, step)), memory, peak
 
@@ -78,4 +81,4 @@ for iteration in range(30):
 gain = 1 - min(peaks) / peaks[0]
 mass = float(jnp.sum(area * best) / (uniform * jnp.sum(area)))
 print(f"peak {peaks[0]:.4f} mm -> {min(peaks):.4f} mm, {100 * gain:.1f} % lower at {mass:.6f} of the mass")
-assert gain > 0.3 and abs(mass - 1) < 1e-9
+assert gain > 0.8 and abs(mass - 1) < 1e-9

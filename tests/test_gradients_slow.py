@@ -66,7 +66,8 @@ def test_statics():
     }
 
     def value(p):
-        solution = js.solve_static(shell(p, load=0.3), [0.3, 0.7, 1.0], throw=False)
+        # The shell snaps through at 0.087 of its loads (`solve_static` says where it could not go on).
+        solution = js.solve_static(shell(p, load=0.075), [0.3, 0.7, 1.0], throw=False)
         reactions = js.reactions(solution)[-1]
         return (
             1e3 * jnp.sum(solution.displacements[-1]) + jnp.sum(reactions) + jnp.sum(solution.energy.strain)
