@@ -65,8 +65,8 @@ def command_line(scene: str, advice: Advice) -> str:
         parts.append(f"--divisions {divisions_text(advice.divisions)}")
     if float(newton.tolerance) != float(Newton().tolerance):
         parts.append(f"--newton-tolerance {float(newton.tolerance):g}")
-    if newton.reuse:
-        parts.append("--newton-reuse")
+    if newton.reuse != Newton().reuse:
+        parts.append("--newton-reuse" if newton.reuse else "--no-newton-reuse")
     return " ".join(parts)
 
 

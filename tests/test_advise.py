@@ -174,7 +174,7 @@ def pretend(monkeypatch):
         loose = float(tried.newton.tolerance)
         error = constant * tried.dt**2 + (0.5 if tried.label == "biased" else 0.0) + (0.3 if loose > 1e-5 else 0.0)
         error += 0.3 if scene.mesh.n_elements < enough[0] else 0.0
-        effort = (0.5 if loose > 1e-7 else 1.0) ** (loose > 1e-8) * (1.5 if tried.newton.reuse else 1.0)
+        effort = (0.5 if loose > 1e-7 else 1.0) ** (loose > 1e-8) * (1.0 if tried.newton.reuse else 1.5)
         steps = round(2.0 / tried.dt)
         effort *= scene.mesh.n_elements / cap().mesh.n_elements
         return Point(tried.kind, tried.label, tried.dt, cost * effort * steps, error, steps, 2 * steps)
@@ -192,7 +192,7 @@ def test_cheapest_that_meets_the_tolerance(pretend):
     best = advice.best
     # 1.1 · 0.25² = 0.069 is the largest of the halvings below 0.8 · 0.1.
     assert advice.met and best.dt == 0.25 and best.method == GEM(inertia="none")
-    assert float(best.newton.tolerance) == 1e-6 and not best.newton.reuse
+    assert float(best.newton.tolerance) == 1e-6 and best.newton.reuse
     text = describe(cap(), advice)
     for words in (
         "rotary inertia changes the answer by 3.0e-05: left out",
