@@ -39,15 +39,15 @@ _AFFORDABLE = 6
 _USELESS, _FORGETS = 0.5, 0.8
 """A step starts with its own factorization if the last step's left more than this of the error; to be tried again
 later, what is remembered of it fades by this factor a step."""
+_FEW = 4
+"""Full iterations of a step after which the next one tries kept factorizations again."""
 _PATIENCE = 8
 """Corrections of a step after which every further one factors."""
 _MARGIN = 1e-2
 """With kept factorizations corrections shrink linearly, and what remains is about as large as what was predicted:
 a hundredth of the tolerance makes results as near to the converged ones as full iterations' at that tolerance."""
-_FLOOR = 1e-13
-"""The margin asks for nothing below this, ..."""
 _NOISE = 1e-10
-"""... and corrections below this that shrink no more, their factorization being their own, are round-off."""
+"""Corrections below this that shrink no more, their factorization being their own, are round-off."""
 _FIRST_GUESS = 0.1
 """Contraction of a factorization that has not been used yet."""
 
@@ -73,7 +73,8 @@ class Linear(NamedTuple):
         """Memory before the first step."""
         kept = self.handle.indices.shape if newton.reuse else (0,)
         first = self.solver.initial_factorization(self.handle)
-        return Memory(first, jnp.zeros(kept), jnp.array(True), jnp.array(_FIRST_GUESS))
+        zero = jnp.zeros((), jnp.int32)
+        return Memory(first, jnp.zeros(kept), jnp.array(True), jnp.array(_FIRST_GUESS), zero)
 
 
 class Memory(eqx.Module):
@@ -86,6 +87,8 @@ class Memory(eqx.Module):
     """The factorization must not be used again."""
     contraction: Float[Array, ""]
     """By which corrections shrank that a factorization of an earlier step gave."""
+    hard: Int[Array, ""]
+    """Of the last step. 1: its own factorizations contracted slowly; 2: it took many full iterations."""
 
 
 class Solved(NamedTuple):
@@ -109,6 +112,12 @@ class _Carry(NamedTuple):
     memory: Memory
     hard: Bool[Array, ""]
     """A factorization of this step contracted slowly."""
+    full: Bool[Array, ""]
+    """Kept factorizations have failed in this step: begun anew with one in every iteration."""
+
+
+def _where(condition, there: _Carry, here: _Carry) -> _Carry:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), there, here)
 
 
 class Newton(eqx.Module):
@@ -117,7 +126,8 @@ class Newton(eqx.Module):
     Arguments:
         tolerance: of the scaled correction (part of the shell's size, radians); with criterion="norm" of the
             Euclidean norm of the raw correction ‖ΔQ‖, in the user's units.
-        max_iterations: corrections allowed in a step.
+        max_iterations: corrections allowed in a step; and as many again where kept factorizations failed and the
+            step is done anew without them.
         max_rotation: a correction is scaled down so that no nodal rotation in it exceeds this [rad].
         reuse: keep a factorization over iterations and steps while it contracts well (chord Newton): more
             corrections, each far cheaper, and a predicted one a hundred times below the tolerance at the end.
@@ -187,18 +197,32 @@ class Newton(eqx.Module):
             bad = ~jnp.isfinite(length) | (length > _GIVE_UP)
             # A correction that an old factorization spoiled is not taken; the next factors anew.
             final = bad & fresh
+            done = final | (enough & whole & ~bad)
             result = jnp.where(final, jnp.where(jnp.isfinite(length), DIVERGED, SINGULAR), SUCCESSFUL)
-            return _Carry(
+            after = _Carry(
                 jnp.where(bad, c.free, c.free + damping * step),
                 c.free,
-                final | (enough & whole & ~bad),
+                done,
                 result,
                 c.iterations + 1,
                 c.factorizations + fresh,
                 jnp.where(whole & ~bad, length, jnp.inf),
                 error,
-                Memory(factorization, values, stale | bad, contraction),
+                Memory(factorization, values, stale | bad, contraction, c.memory.hard),
                 hard,
+                c.full,
+            )
+            if not self.reuse:
+                return after
+            failed = jnp.where(done, result != SUCCESSFUL, after.iterations >= self.max_iterations)
+            return _where(failed & ~c.full, begun_anew(after), after)
+
+        def begun_anew(c: _Carry):
+            """What kept factorizations spoilt is done again without them."""
+            memory = eqx.tree_at(lambda m: m.stale, c.memory, jnp.array(True))
+            yes = jnp.array(True)
+            return start._replace(
+                iterations=c.iterations, factorizations=c.factorizations, memory=memory, hard=yes, full=yes
             )
 
         def body(c: _Carry):
@@ -209,19 +233,27 @@ class Newton(eqx.Module):
                 settled |= c.correction * error < _RESIDUAL_SAFETY * self.tolerance * c.error
             broken = ~jnp.isfinite(error)
             stop = c._replace(done=jnp.array(True), result=jnp.where(broken, DIVERGED, c.result))
+            if self.reuse:
+                stop = _where(broken & ~c.full, begun_anew(c), stop)
             return lax.cond(settled | broken, lambda: stop, lambda: advance(c, r, error))
 
         zero = jnp.zeros((), jnp.int32)
+        full = memory.hard == 2 if self.reuse else jnp.array(True)
+        if self.reuse:
+            memory = eqx.tree_at(lambda m: m.stale, memory, memory.stale | full)
         start = _Carry(
             guess, jnp.zeros_like(guess), jnp.array(False), zero, zero, zero,
-            jnp.array(jnp.inf), jnp.array(0.0), memory, jnp.array(False),
+            jnp.array(jnp.inf), jnp.array(0.0), memory, jnp.array(False), full,
         )
-        end = lax.while_loop(lambda c: ~c.done & (c.iterations < self.max_iterations), body, start)
+        limit = self.max_iterations * (2 if self.reuse else 1)
+        end = lax.while_loop(lambda c: ~c.done & (c.iterations < limit), body, start)
         result = jnp.where(end.done, end.result, STAGNATED)
         kept = end.memory
         if self.reuse:
             useless = (kept.contraction > _USELESS) | (result != SUCCESSFUL)
-            kept = eqx.tree_at(lambda m: m.stale, kept, kept.stale | useless)
+            many = end.full & (end.iterations > _FEW)
+            hard = jnp.where(many, 2, end.full | end.hard).astype(jnp.int32)
+            kept = eqx.tree_at(lambda m: (m.stale, m.hard), kept, (kept.stale | useless, hard))
         return Solved(end.free, result, end.iterations, end.factorizations, end.correction, kept)
 
     def _outlook(self, c: _Carry, length, q, fresh):
@@ -232,11 +264,11 @@ class Newton(eqx.Module):
         """
         if not self.reuse:  # Quadratic: the tangents are those of this iterate and of the last.
             return self.tolerance, length * q * q, c.memory.contraction, jnp.array(True), c.hard
-        target = jnp.maximum(_MARGIN * self.tolerance, jnp.minimum(self.tolerance, _FLOOR))
-        first = c.iterations == 0
+        first = ~jnp.isfinite(c.correction)
+        target = jnp.where(c.full, 1.0, _MARGIN) * self.tolerance
         linear = q / jnp.maximum(1.0 - q, 0.1)
         # After a kept factorization's correction a fresh one's q is still the kept one's, hence no square.
-        quadratic = jnp.where(c.factorizations == c.iterations, q * q, q)
+        quadratic = jnp.where(c.full | (c.factorizations == c.iterations), q * q, q)
         predicted = length * jnp.where(first, 1.0, jnp.where(fresh, quadratic, linear))
         earlier = ~fresh & (c.factorizations == 0)
         contraction = jnp.where(earlier & (c.iterations == 1), q, c.memory.contraction)
@@ -245,10 +277,13 @@ class Newton(eqx.Module):
         expected = jnp.where(first, c.memory.contraction, q)
         to_go = jnp.log(length * expected / target) / -jnp.log(jnp.clip(expected, 1e-10, 0.99))
         slow = expected > _CONTRACTS
-        # A step on which even its own factorizations serve once only is a long way off: full iterations.
-        hard = c.hard | (slow & ~fresh & (c.factorizations > 0))
-        stale = jnp.where(fresh, hard & slow, slow | (to_go > _AFFORDABLE)) | (c.iterations >= _PATIENCE)
-        return target, predicted, contraction, stale, hard
+        # Steps on which even their own factorizations serve once only start a long way off: full iterations, in the
+        # next step too.
+        hard = c.hard | (slow & (c.factorizations > 0))
+        full = (c.memory.hard > 0) | hard
+        near = expected < _CONTRACTS**2
+        stale = jnp.where(fresh, full & ~near, slow | (to_go > _AFFORDABLE)) | (c.iterations >= _PATIENCE)
+        return target, predicted, contraction, stale | c.full, hard
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
