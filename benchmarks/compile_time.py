@@ -18,7 +18,7 @@ from jaxshell.assembly import analyse  # noqa: E402
 from jaxshell.compiled import OPTIONS  # noqa: E402
 from jaxshell.linear_solver import default_solver  # noqa: E402
 from jaxshell.model import structure_of  # noqa: E402
-from jaxshell.simulate import _floats_to_arrays  # noqa: E402
+from jaxshell.simulation import _floats_to_arrays  # noqa: E402
 
 
 def measure(method, options) -> tuple[float, float, float]:

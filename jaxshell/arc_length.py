@@ -31,7 +31,7 @@ from jaxshell.newton import DIVERGED, SINGULAR, STAGNATED, SUCCESSFUL, Linear, N
 from jaxshell.program import Choices
 from jaxshell.progress import Progress
 from jaxshell.scene import Scene
-from jaxshell.simulate import (
+from jaxshell.simulation import (
     SimulationError,
     _check_options,
     _floats_to_arrays,

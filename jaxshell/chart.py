@@ -27,7 +27,7 @@ from jaxshell.references import (
 )
 from jaxshell.scene import Scene
 from jaxshell.scenes import default_divisions
-from jaxshell.simulate import simulate
+from jaxshell.simulation import simulate
 from jaxshell.solution import Solution
 from jaxshell.step_control import StepControl
 

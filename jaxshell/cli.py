@@ -116,7 +116,7 @@ def _parser() -> argparse.ArgumentParser:
 
 class _Version(argparse.Action):
     def __call__(self, parser, *_):
-        from jaxshell.storage import version
+        from jaxshell.version import version
 
         print(f"jaxshell {version()}")
         parser.exit()
@@ -130,7 +130,7 @@ def _run(options: argparse.Namespace) -> int:
     from jaxshell.method_names import choose_methods, method_label, parse_method
     from jaxshell.plotting import plot
     from jaxshell.report import describe_run, describe_scene
-    from jaxshell.simulate import simulate
+    from jaxshell.simulation import simulate
     from jaxshell.solution import RESULTS
     from jaxshell.step_control import StepControl
 

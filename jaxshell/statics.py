@@ -30,7 +30,7 @@ from jaxshell.newton import SUCCESSFUL, Linear, Newton
 from jaxshell.program import Choices
 from jaxshell.progress import Progress
 from jaxshell.scene import Scene
-from jaxshell.simulate import (
+from jaxshell.simulation import (
     _RESULT_NAMES,
     Run,
     SimulationError,

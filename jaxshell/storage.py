@@ -15,7 +15,6 @@ Files grow chunk by chunk while a run goes on, and what has been written stays r
 """
 
 import dataclasses
-import importlib.metadata
 import json
 import typing
 from pathlib import Path
@@ -34,6 +33,7 @@ from jaxshell.scene import Defaults, Initial, Scene
 from jaxshell.section import Section
 from jaxshell.solution import RESULTS, Energy, Momentum, Solution, Stats
 from jaxshell.supports import Support
+from jaxshell.version import version
 
 FORMAT, SCHEMA = "jaxshell", 1
 _KINDS = {kind.__name__: kind for kind in (Mesh, Section, Support, History, Initial, *typing.get_args(Load))}
@@ -252,13 +252,6 @@ def _extend(dataset, values) -> None:
 def _dataset_name(label: str) -> str:
     """A watch label as a name that HDF5 does not read as a path; different labels have different names."""
     return label.replace("%", "%25").replace("/", "%2F").replace(".", "%2E") or "%"
-
-
-def version() -> str:
-    try:
-        return importlib.metadata.version("jaxshell")
-    except importlib.metadata.PackageNotFoundError:
-        return "not installed"
 
 
 def _to_json(value) -> str:

@@ -194,6 +194,7 @@ def test_single_precision_is_refused_and_importing_changes_nothing():
     code = """
 import jax
 import jaxshell
+from jaxshell import *
 assert not jax.config.jax_enable_x64
 try:
     jaxshell.Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])

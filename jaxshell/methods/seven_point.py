@@ -93,7 +93,10 @@ def turned_spins(model: Model, theta: Float[Array, "n 3"], spins: Spins, factors
 
 
 def kinetic_and_momenta(model: Model, x: Float[Array, "n 3"], v: Float[Array, "n 3"], spins: Spins | None):
-    """Kinetic energy, linear and angular momentum about the origin, eqs. (34), (27), (28); spins None: without."""
+    """Kinetic energy, linear and angular momentum about the origin, eqs. (34), (27), (28); spins None: without.
+
+    The print of eq. (28) drops the R that turns the material I_ρ Ω into space.
+    """
     elements = model.elements
     mass = elements.mass_per_area * elements.area
     corners, rates = model.gather((x, v))
