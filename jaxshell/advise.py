@@ -258,7 +258,7 @@ class _Search:
         )
         gain = point.seconds / before[0].seconds
         if self.best is before:
-            reasons.append(f"factorizations kept over iterations and steps: {gain:.2f} times as fast as one an iteration")
+            reasons.append(f"factorizations kept over steps: {gain:.2f} times as fast as one an iteration")
         else:
             reasons.append(f"a factorization in every iteration: {1 / gain:.2f} times as fast as kept ones")
         return reasons
