@@ -119,7 +119,7 @@ def _advance(model: Model, newton: Newton, handle, choices: Choices, state: Stat
     linear, method = Linear(choices.linear_solver, handle), Static()
     rotates = model.tables.free % 6 >= 3
     scale = jnp.where(rotates, 1.0, 1.0 / model.size)
-    n = state.x.shape[0]
+    n = state.d.shape[0]
     # Held freedoms that are moved go with the load factor.
     held_rate = model.held_displacement(state.time + 1.0) - model.held_displacement(state.time)
 
@@ -189,7 +189,7 @@ def _driven(
 ) -> Solution:
     begun = time.perf_counter()
     model, carry, record, frame = program.prepare(proportional(scene), Static(), newton, tables, handle, choices)
-    state, previous, length = carry.state, jnp.zeros_like(carry.state.x), float(arc_length)
+    state, previous, length = carry.state, jnp.zeros_like(carry.state.d), float(arc_length)
     code, message = int(SUCCESSFUL), ""
     log = Log(scene, choices.save_every, record, frame, output, Static(), newton, choices)
     with log:

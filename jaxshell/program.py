@@ -15,6 +15,7 @@ from jaxshell.compiled import compiled
 from jaxshell.gradients import Gradients, merge, scan_steps
 from jaxshell.linear_solver import Handle, LinearSolver
 from jaxshell.methods.base import Method, Observation, Solvers
+from jaxshell.methods.static import StaticState
 from jaxshell.model import Model
 from jaxshell.newton import STEP_TOO_SMALL, SUCCESSFUL, Linear, Memory, Newton
 from jaxshell.scene import WATCHABLE, Scene
@@ -113,11 +114,16 @@ def record(model, method, state, choices: Choices, iterations, factorizations, d
 
 def watched(model, state, node: int, component: str):
     axis = WATCHABLE.index(component) % 3
-    return state.v[node, axis] if component[0] == "v" else state.x[node, axis] - model.x0[node, axis]
+    return (state.v if component[0] == "v" else displacements(model, state))[node, axis]
 
 
 def frame(model: Model, state) -> Frame:
-    return Frame(state.time, state.x - model.x0, state.R, state.v)
+    return Frame(state.time, displacements(model, state), state.R, state.v)
+
+
+def displacements(model, state) -> Float[Array, "n 3"]:
+    """A state of statics keeps them, the others keep positions."""
+    return state.d if isinstance(state, StaticState) else state.x - model.x0
 
 
 @compiled

@@ -266,7 +266,7 @@ def reactions(solution: Solution) -> Float[Array, "f n 6"]:
 def _reactions(scene: Scene, tables: Tables, displacements, rotations, factors):
     model = Model.build(scene, tables)
     frames = displacements, rotations, factors
-    return jax.lax.map(lambda frame: reactions_at(model, model.x0 + frame[0], *frame[1:]), frames)
+    return jax.lax.map(lambda frame: reactions_at(model, *frame), frames)
 
 
 def _load_factors(values):

@@ -25,6 +25,9 @@ def test_geometry():
     assert np.ptp(nodes, axis=0) == pytest.approx([5.0, 5.0, 5 * (1 - np.sqrt(0.75))])
     assert nodes[panel.watch[0][1]] == pytest.approx([2.5, 0, 5])
     assert len(panel.held_dofs) == 3 * 2 * 5
+    load = np.asarray(panel.loads[0].nodal(panel.mesh.nodes, panel.mesh.triangles, None))
+    assert load.sum(axis=0) == pytest.approx([0, 0, -5e7 * 5.0, 0, 0, 0])
+    assert nodes[np.flatnonzero(load[:, 2])] == pytest.approx(np.array([[x, 0, 5] for x in np.linspace(0, 5, 5)]))
     fold = scenes.l_shaped_plate(2)
     assert np.ptp(np.asarray(fold.mesh.nodes), axis=0) == pytest.approx([0.6, 0.2, 0.6])
     assert [nodes.tolist() for nodes in np.asarray(fold.mesh.nodes)[[w[1] for w in fold.watch]]] == [

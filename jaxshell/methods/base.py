@@ -26,6 +26,7 @@ class Motion(NamedTuple):
     """A node at the end of the step."""
 
     x: Float[Array, "*n 3"]
+    """Position; in statics displacement."""
     R: Float[Array, "*n 3 3"]
     theta: Float[Array, "*n 3"]
     """The rotation of the step, in the method's parameters."""
@@ -136,9 +137,13 @@ class ImplicitMethod(Method):
         """The increments from which Newton starts; states keep the `rates` of the last steps for it."""
         return extrapolate(state.rates, dt)
 
+    def configuration(self, state) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 3"]]:
+        """Positions and rotations to which the increments of a step are added."""
+        return state.x, state.R
+
     def motion(self, state, u: Float[Array, "n 6"]) -> Motion:
         """Motion of all nodes."""
-        return jax.vmap(self.node_motion)(u, state.x, state.R)
+        return jax.vmap(self.node_motion)(u, *self.configuration(state))
 
     def balance(self, model: Model, state, begun, u: Float[Array, "n 6"]) -> Balance:
         """The residual of the step at the increments u."""
@@ -163,7 +168,7 @@ class ImplicitMethod(Method):
             found = self.element_forces(jax.vmap(self.node_motion)(u, x, R), u, data, step)
             return found.elastic + found.inertial
 
-        corners = model.gather((u, state.x, state.R))
+        corners = model.gather((u, *self.configuration(state)))
         return jax.vmap(jax.jacfwd(forces))(corners[0].reshape(-1, 18), corners[1], corners[2], data)
 
     def mixed_matrices(self, model: Model, state, begun, u, last, tangent: str) -> Float[Array, "m 18 18"]:

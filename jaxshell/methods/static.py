@@ -10,6 +10,10 @@ Comput. Methods Appl. Mech. Eng. 313 (2017) 986-1005): the stresses in the geome
 the last correction predicts linearly, not those of the corrected shape. A correction that turns elements
 moves the nodes along tangents, which stretches the membrane; the false stresses would dominate the next
 tangent. A cantilever rolled up in ten steps takes 8 iterations a step instead of 32 to 52.
+
+The state keeps displacements d, and an element sees its corners from its node 1, as edges of the reference shape
+plus differences of d. Positions X + d would round d off by 1e-16 |X|, which the membrane's stiffness turns into
+forces: a thin shell of many elements under a small load is then out of balance by more than 1e-9 of the load.
 """
 
 from typing import NamedTuple
@@ -31,7 +35,8 @@ class StaticState(eqx.Module):
 
     time: Float[Array, ""]
     """The load factor λ."""
-    x: Float[Array, "n 3"]
+    d: Float[Array, "n 3"]
+    """Displacements from the reference shape."""
     R: Float[Array, "n 3 3"]
     v: Float[Array, "n 3"]
     """Zero: nothing moves."""
@@ -42,6 +47,8 @@ class ElementData(NamedTuple):
     """Constants of one element during a step."""
 
     element: Element
+    edges: Float[Array, "3 3"]
+    """Corners of the reference shape, seen from node 1."""
     pressure: Float[Array, ""] | None
     excess: Float[Array, "12"] | None = None
     """Stresses added to those of the deformations, in the tangent of a mixed iteration only."""
@@ -51,64 +58,69 @@ class Static(ImplicitMethod):
     """Static equilibrium; `solve_static` runs it, with the scene's loads in proportion to the load factor."""
 
     def element_forces(self, motion, u, data: ElementData, step) -> Forces:
-        kin = corotational.kinematics(motion.x, motion.R, data.element)
+        x = _corners(motion.x, data.edges)
+        kin = corotational.kinematics(x, motion.R, data.element)
         force = corotational.to_global(corotational.local_forces(kin, _stresses(kin, data)), kin)
         if data.pressure is not None:
-            force = force - pressure_force(motion.x, data.pressure)
+            force = force - pressure_force(x, data.pressure)
         return Forces(force, jnp.zeros_like(force))
 
     def element_tangent(self, motion, u, data: ElementData, step) -> Float[Array, "18 18"]:
-        kin = corotational.kinematics(motion.x, motion.R, data.element)
+        x = _corners(motion.x, data.edges)
+        kin = corotational.kinematics(x, motion.R, data.element)
         f = _stresses(kin, data)
         K = corotational.stiffness(kin, f, data.element, motion.spin)
-        return K if data.pressure is None else K - pressure_stiffness(motion.x, data.pressure)
+        return K if data.pressure is None else K - pressure_stiffness(x, data.pressure)
 
     def mixed_matrices(self, model: Model, state, begun, u, last, tangent: str) -> Float[Array, "m 18 18"]:
-        def excess(u, last, x, R, element):
+        def excess(u, last, d, R, data: ElementData):
             """K̂ [e(last) + ∂e/∂u (u - last) - e(u)]: predicted less actual stresses."""
 
             def deformations(u):
-                motion = jax.vmap(self.node_motion)(u, x, R)
-                return corotational.kinematics(motion.x, motion.R, element).deformations
+                motion = jax.vmap(self.node_motion)(u, d, R)
+                return corotational.kinematics(_corners(motion.x, data.edges), motion.R, data.element).deformations
 
             before, change = jax.jvp(deformations, (last,), (u - last,))
-            return corotational.stresses(before + change - deformations(u), element)
+            return corotational.stresses(before + change - deformations(u), data.element)
 
         data, step, loads = begun
-        u_e, last_e, x, R = model.gather((u, last, state.x, state.R))
-        data = data._replace(excess=jax.vmap(excess)(u_e, last_e, x, R, model.elements))
+        u_e, last_e, d, R = model.gather((u, last, state.d, state.R))
+        data = data._replace(excess=jax.vmap(excess)(u_e, last_e, d, R, data))
         return self.matrices(model, state, (data, step, loads), u, tangent)
 
     def start(self, model: Model, scene, time) -> StaticState:
         x, R, v, _ = initial_motion(model, scene)
-        return StaticState(jnp.asarray(time, float), x, R, jnp.zeros_like(v), jnp.zeros(()))
+        return StaticState(jnp.asarray(time, float), x - model.x0, R, jnp.zeros_like(v), jnp.zeros(()))
+
+    def configuration(self, state: StaticState):
+        return state.d, state.R
 
     def predict(self, model: Model, state: StaticState, dt) -> Float[Array, "n 6"]:
         """Newton starts where the last step ended, since what one extrapolates stretches the membrane."""
-        return jnp.zeros((state.x.shape[0], 6))
+        return jnp.zeros((state.d.shape[0], 6))
 
     def begin(self, model: Model, state: StaticState, dt):
         end = state.time + dt
         pressure = model.pressure(end) if model.pressures else None
-        return ElementData(model.elements, pressure), None, model.dead_load(end)
+        corners = model.gather(model.x0)
+        return ElementData(model.elements, corners - corners[:, :1], pressure), None, model.dead_load(end)
 
     def finish(self, model: Model, state: StaticState, dt, u, motion, begun) -> StaticState:
         end = state.time + dt
         # Work by the trapezoidal rule along the step.
         force = 0.5 * (model.dead_load(state.time) + model.dead_load(end))
         if model.pressures:
-            force = force + 0.5 * (
-                model.pressure_load(state.x, state.time) + model.pressure_load(motion.x, end)
-            )
+            before, after = model.x0 + state.d, model.x0 + motion.x
+            force = force + 0.5 * (model.pressure_load(before, state.time) + model.pressure_load(after, end))
         if model.moving:
-            before = reactions_at(model, state.x, state.R, state.time)
+            before = reactions_at(model, state.d, state.R, state.time)
             force = force + 0.5 * (before + reactions_at(model, motion.x, motion.R, end))
         work = state.external_work + jnp.sum(force * u)
         return StaticState(end, motion.x, motion.R, state.v, work)
 
     def observe(self, model: Model, state: StaticState) -> Observation:
         zero = jnp.zeros(())
-        strain = model.strain_energy(state.x, state.R)
+        strain = model.strain_energy(model.x0 + state.d, state.R)
         return Observation(zero, strain, state.external_work, zero, jnp.zeros(3), jnp.zeros(3))
 
 
@@ -117,8 +129,15 @@ def _stresses(kin: corotational.Kinematics, data: ElementData) -> Float[Array, "
     return f if data.excess is None else f + data.excess
 
 
-def reactions_at(model: Model, x, R, time) -> Float[Array, "n 6"]:
+def _corners(d: Float[Array, "3 3"], edges: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """Corners of an element seen from the reference place of node 1, moved with it."""
+    return edges + (d - d[0])
+
+
+def reactions_at(model: Model, d, R, time) -> Float[Array, "n 6"]:
     """Forces and moments of the supports on the shell in equilibrium: f_int - f_ext at the held freedoms."""
-    residual = model.internal_force(x, R) - model.dead_load(time) - model.pressure_load(x, time)
+    method, zero = Static(), jnp.zeros(())
+    state = StaticState(jnp.asarray(time), d, R, jnp.zeros_like(d), zero)
+    residual = method.balance(model, state, method.begin(model, state, zero), jnp.zeros((d.shape[0], 6))).residual
     is_held = jnp.zeros(residual.size).at[model.tables.held].set(1.0).reshape(residual.shape)
     return is_held * residual

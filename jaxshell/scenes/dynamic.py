@@ -15,12 +15,14 @@ from jaxshell.supports import pinned
 
 
 def snapping_panel(divisions: tuple[int, int] = (8, 16), force: float = 5e7) -> Scene:
-    """Cylindrical panel pushed through by a force at its centre (SI units).
+    """Cylindrical panel pushed through along its crown (SI units).
 
     D. Kuhl & E. Ramm, "Generalized energy-momentum method for non-linear adaptive shell dynamics", Comput.
     Methods Appl. Mech. Eng. 178 (1999) 343-366: radius 5 m, half angle 30°, h 0.1 m, E 200 GPa, ν 0.25,
     ρ 1e4 kg/m³, force rising to 5e7 N at 0.2 s and constant from there, straight edges hinged.
-    ASSUMPTION: length 5 m, the force on one node. The whole panel, free to snap asymmetrically.
+    ASSUMPTION: length 5 m, and `force` in N per metre of the crown, along all of it, as plane-strain models of this
+    panel have it: the panel's limit load (`solve_arc_length`) is then 1.8e7 N/m, while a force on the one node at the
+    centre would have to be above 1.2e8 N. The whole panel, free to snap asymmetrically.
     divisions = (along, around), both even. Watches "centre" (uz).
     """
     along, around = divisions
@@ -34,12 +36,12 @@ def snapping_panel(divisions: tuple[int, int] = (8, 16), force: float = 5e7) -> 
         np.stack([x, radius * np.sin(turn), radius * np.cos(turn)], 1), structured_triangles(along, around)
     )
     centre = mesh.nearest_node([length / 2, 0, radius])
-    edges = np.flatnonzero(np.abs(turn) > half_angle - 1e-9)
+    crown, edges = (np.flatnonzero(np.abs(np.abs(turn) - angle) < 1e-9) for angle in (0.0, half_angle))
     return Scene(
         mesh,
         Section(0.1, 200e9, 0.25, 1e4),
         (pinned(edges),),
-        (NodalForce([centre], [0.0, 0.0, -force], History.ramp(0.2)),),
+        (EdgeForce(_chain(crown), [0.0, 0.0, -force], History.ramp(0.2)),),
         name="snapping_panel",
         watch={"centre": (centre, "uz")},
         defaults=Defaults(dt=1e-3, t_end=0.3, picture_times=(0.0, 0.05, 0.1, 0.15, 0.2, 0.3), units="SI"),
