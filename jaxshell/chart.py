@@ -209,8 +209,8 @@ def chart(
     say: Callable = print,
     reference: Reference | None = None,
 ) -> tuple[list[Point], Reference]:
-    """Measure `tried` one after the other; by default `configurations`, and methods that have not come to 1 % of the
-    answer with smaller steps too."""
+    """Measure `tried` one after the other, by default `configurations`. Methods that have not come to 1 % of the answer
+    get smaller steps too."""
     reference = reference_of(scene, dt, t_end, 1e-4, say) if reference is None else reference
     points = []
     left = list(configurations(scene, dt, float(reference.times[-1])) if tried is None else tried)
@@ -227,7 +227,7 @@ def chart(
             f"  {point.iterations / max(1, point.steps):.2f} iterations a step"
         )
         step, smallest = configuration.dt, dt * _SMALLEST
-        more = tried is None and configuration.kind == "method" and configuration.method.uses_matrix
+        more = configuration.kind == "method" and configuration.method.uses_matrix
         if more and not isinstance(step, StepControl) and smallest < step <= dt / 4 and point.error > _AIM:
             left.insert(0, configuration._replace(dt=step / 2))
     return points, reference
