@@ -62,12 +62,11 @@ def natural_frequencies(
     """Lowest natural frequencies [Hz] and their modes, small vibrations about a given state.
 
     Arguments:
-        scene: the shell; its loads matter only as follower pressure (stiffness of the load). Differentiable
-        in its
-            floats, for frequencies that no other frequency equals.
-        count: how many.
-        about: a solution, about whose last frame the shell vibrates, with its stresses; static or dynamic.
-        None
+        scene: the shell; its loads matter only as follower pressure (stiffness of the load). Differentiable in
+            its floats, for frequencies that no other frequency equals.
+        count: how many. About an unstable state those whose squares are nearest zero: growing motions that are
+            faster need a larger count to be found.
+        about: a solution, about whose last frame the shell vibrates, with its stresses; static or dynamic. None
             is the state at the start, with the scene's initial displacements and rotations.
         rigid_modes: whether motions as a rigid body, of frequency 0, are reported; six for a free shell.
 
