@@ -43,7 +43,7 @@ PEER_STEPS = {
     "plate": (4, 2, 1, 0.5),
     "tiny": (4, 2, 1),
 }
-PEER_WINDOW = {"cap": 5e-5, "opened_cap": 0.4, "plate": 0.005}
+PEER_WINDOW = {"cap": 5e-5, "opened_cap": 0.4}
 
 
 def peer_points(scene, name: str, reference: Reference, python: str, window: float, folder: Path) -> list[dict]:
