@@ -63,17 +63,23 @@ def peer_points(scene, name: str, reference: Reference, python: str, window: flo
             print(f"  {program} dt = {dt:.3g}: {answer['seconds']:.2f} s", flush=True)
             runs.append((dt, answer, times, dict(references.signals(scene, displacements))))
         worker.close()
+        label = {"kratos": "Kratos", "opensees": "OpenSees"}[program]
+        good = [run for run in runs if run[1]["converged"]]
+        if len(good) < 2:
+            print(f"  {program} gives no answer: fewer than two of its runs converged", flush=True)
+            failed = [(dt, *(answer[k] for k in ("seconds", "steps", "iterations"))) for dt, answer, *_ in runs]
+            found += [Point("peer", label, dt, t, np.inf, steps, done)._asdict() for dt, t, steps, done in failed]
+            continue
         # Richardson on the finer one's every second time, which is the coarser one's.
-        fine = {key: value[::2] for key, value in runs[-1][3].items()}
-        times, coarse = runs[-2][2], runs[-2][3]
+        fine = {key: value[::2] for key, value in good[-1][3].items()}
+        times, coarse = good[-2][2], good[-2][3]
         limit = extrapolate(coarse, fine)
         own = Reference(times, limit, float(agreement(times, fine, limit)[-1]), f"{program}, extrapolated")
         for dt, answer, times, signals in runs:
             within = times <= own.times[-1] * (1 + 1e-9)
             cut = {key: value[within] for key, value in signals.items()}
             error = references.signal_error(own, times[within], cut) if answer["converged"] else np.inf
-            label, effort = {"kratos": "Kratos", "opensees": "OpenSees"}[program], ("seconds", "steps", "iterations")
-            seconds, steps, iterations = (answer[name] for name in effort)
+            seconds, steps, iterations = (answer[name] for name in ("seconds", "steps", "iterations"))
             found.append(Point("peer", label, dt, seconds, error, steps, iterations)._asdict())
         common = own.times <= reference.times[-1] * (1 + 1e-9)
         cut = {key: value[common] for key, value in own.signals.items()}
