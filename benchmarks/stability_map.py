@@ -9,8 +9,8 @@ the output folder between its markers `<!-- map -->` and `<!-- inside -->`, or w
 `stability_map.md`.
 
 Drift is (K + S - W)/max|W|, the energy that the method made (+) or lost (-) as part of the work of the loads.
-Newton may take 100 iterations here, so that a failure is the method's; where its default limit of 25 would have
-ended the run is recorded.
+Newton may take 100 iterations here, each with its own factorization, so that a failure is the method's; where its
+default limit of 25 would have ended the run is recorded.
 """
 
 import argparse
@@ -42,7 +42,7 @@ GROWN = 0.05
 """Drift from which energy counts as grown: the run has failed, whether it goes on or not."""
 LEFT = 0.01
 """Size of the drift whose first crossing is recorded."""
-PATIENT, USUAL = js.Newton(max_iterations=100), js.Newton().max_iterations
+PATIENT, USUAL = js.Newton(max_iterations=100, reuse=False), js.Newton().max_iterations
 DOCS = Path(__file__).parent.parent / "docs"
 
 
@@ -175,6 +175,7 @@ def anatomy(case: Case, label: str, dt: float, stride: int = 50) -> list[dict]:
                 dt=dt,
                 t_end=count * dt,
                 save_every=250,
+                newton=PATIENT,
                 throw=False,
                 restart=before,
             )
