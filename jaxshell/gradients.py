@@ -36,6 +36,11 @@ class Gradients(eqx.Module):
     def outer_policy(self) -> Callable:
         """What a segment keeps besides the state at its start."""
 
+    @property
+    def repeats_newton(self) -> bool:
+        """Whether the way back runs Newton's iteration again. A factorization kept is then of a later step."""
+        return False
+
 
 class Stored(Gradients):
     """Keep the state at the start of every step, and its increments.
@@ -81,6 +86,10 @@ class Checkpointed(Gradients):
     @property
     def outer_policy(self) -> Callable:
         return _keep_increments if self.keep_increments else _keep_nothing
+
+    @property
+    def repeats_newton(self) -> bool:
+        return not self.keep_increments
 
 
 _keep_increments = jax.checkpoint_policies.save_only_these_names(INCREMENTS)

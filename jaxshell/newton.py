@@ -227,9 +227,10 @@ class Newton(eqx.Module):
 
         def body(c: _Carry):
             r, error = relative(problem.balance(c.free))
-            settled = error < _ROUND_OFF
+            # Kept factorizations leave errors in soft directions (rigid motions, for one), which residuals hardly show:
+            # there corrections alone decide.
+            settled = (error < _ROUND_OFF) & c.full
             if self.criterion == "predicted" and not self.reuse:
-                # Kept factorizations leave errors in soft directions, which residuals hardly show.
                 settled |= c.correction * error < _RESIDUAL_SAFETY * self.tolerance * c.error
             broken = ~jnp.isfinite(error)
             stop = c._replace(done=jnp.array(True), result=jnp.where(broken, DIVERGED, c.result))

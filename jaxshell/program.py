@@ -138,7 +138,11 @@ def run_whole(
 
     def one(carry: Carry, step):
         dt, end = step
-        state, info, memory = method.step(model, carry.state, dt, solvers, carry.memory)
+        memory = carry.memory
+        if gradients.repeats_newton and memory is not None:
+            # A step done again must come out as it did at first, whatever has been factored since.
+            memory = eqx.tree_at(lambda m: m.stale, memory, jnp.array(True))
+        state, info, memory = method.step(model, carry.state, dt, solvers, memory)
         state = eqx.tree_at(lambda s: s.time, state, end)
         result = jnp.where(carry.result == SUCCESSFUL, info.result.astype(jnp.int32), carry.result)
         good = result == SUCCESSFUL

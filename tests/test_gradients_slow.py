@@ -165,6 +165,7 @@ def test_checkpoints_change_nothing(kept):
                 js.GeneralizedEnergyMomentum(),
                 dt=steps,
                 save_every=6,
+                newton=NEWTON,
                 gradients=gradients,
                 throw=False,
             )
