@@ -112,6 +112,8 @@ class _Carry(NamedTuple):
     memory: Memory
     hard: Bool[Array, ""]
     """A factorization of this step contracted slowly."""
+    own: Bool[Array, ""]
+    """The last correction's matrix was its own iterate's."""
     full: Bool[Array, ""]
     """Kept factorizations have failed in this step: begun anew with one in every iteration."""
 
@@ -210,6 +212,7 @@ class Newton(eqx.Module):
                 error,
                 Memory(factorization, values, stale | bad, contraction, c.memory.hard),
                 hard,
+                fresh,
                 c.full,
             )
             if not self.reuse:
@@ -244,7 +247,7 @@ class Newton(eqx.Module):
             memory = eqx.tree_at(lambda m: m.stale, memory, memory.stale | full)
         start = _Carry(
             guess, jnp.zeros_like(guess), jnp.array(False), zero, zero, zero,
-            jnp.array(jnp.inf), jnp.array(0.0), memory, jnp.array(False), full,
+            jnp.array(jnp.inf), jnp.array(0.0), memory, jnp.array(False), jnp.array(False), full,
         )
         limit = self.max_iterations * (2 if self.reuse else 1)
         end = lax.while_loop(lambda c: ~c.done & (c.iterations < limit), body, start)
@@ -267,7 +270,9 @@ class Newton(eqx.Module):
             return self.tolerance, length * q * q, c.memory.contraction, jnp.array(True), c.hard
         first = ~jnp.isfinite(c.correction)
         target = jnp.where(c.full, 1.0, _MARGIN) * self.tolerance
-        linear = q / jnp.maximum(1.0 - q, 0.1)
+        # Only corrections of one kept factorization say how it contracts: after its own iterate's, which took most
+        # of the error, what it leaves is in soft directions and may be far larger than their ratio tells.
+        linear = jnp.where(c.own, 1.0, q / jnp.maximum(1.0 - q, 0.1))
         # After a kept factorization's correction a fresh one's q is still the kept one's, hence no square.
         quadratic = jnp.where(c.full | (c.factorizations == c.iterations), q * q, q)
         predicted = length * jnp.where(first, 1.0, jnp.where(fresh, quadratic, linear))
