@@ -134,4 +134,5 @@ def _free_dofs(structure: Structure) -> np.ndarray:
 
 
 def _indices(array: np.ndarray) -> Array:
-    return jnp.asarray(array, dtype=jnp.int32)
+    # Converted by NumPy: jnp.asarray compiles a program for every length.
+    return jax.device_put(np.asarray(array, np.int32))

@@ -74,6 +74,11 @@ def first(model: Model, method: Method, state, choices: Choices):
     return record(model, method, state, choices, zero, zero, jnp.array(True)), frame(model, state)
 
 
+def empty(shapes):
+    """Zeros for a record or a frame of a step that was not taken."""
+    return jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
+
+
 @compiled
 def run(model: Model, method: Method, newton: Newton, handle: Handle, choices: Choices, carry: Carry, steps):
     """Scan over frames of `save_every` steps each; `steps` (dt, time at its end), (frames, save_every) each.
@@ -94,7 +99,7 @@ def run(model: Model, method: Method, newton: Newton, handle: Handle, choices: C
             return Carry(state, memory, info.result.astype(jnp.int32)), recorded
 
         def skip():
-            return carry, jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(take)[1])
+            return carry, empty(jax.eval_shape(lambda: first(model, method, carry.state, choices))[0])
 
         return jax.lax.cond((dt > 0) & (carry.result == SUCCESSFUL), take, skip)
 
@@ -200,8 +205,7 @@ def try_steps(
             return Attempts(Carry(state, memory, result), after), (recorded, frame(model, state))
 
         def skip():
-            nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(take)[1])
-            return attempts, nothing
+            return attempts, empty(jax.eval_shape(lambda: first(model, method, carry.state, choices)))
 
         active = (carry.result == SUCCESSFUL) & (now.time < stops[-1])
         return jax.lax.cond(active, take, skip)

@@ -173,7 +173,7 @@ def _driven_run(run: Run, steps, output, bar, restart) -> Solution:
         )
         if writer is not None:
             writer.finish(_RESULT_NAMES[code], message, stats)
-    return _solution(run.scene, record, frame, carry.state, _results()[code], message, stats, jnp.asarray)
+    return _solution(run.scene, record, frame, carry.state, _results()[code], message, stats, jax.device_put)
 
 
 def _fixed_chunks(run: Run, model, carry, steps, start):
@@ -340,7 +340,7 @@ def _expand(tree):
 
 def _floats_to_arrays(tree: Any) -> Any:
     """Python floats as arrays, so that another value compiles nothing anew."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, tree)
+    return jax.tree.map(lambda leaf: jax.device_put(np.float64(leaf)) if isinstance(leaf, float) else leaf, tree)
 
 
 def _controlled(scene: Scene, control: StepControl, t_end) -> Controlled:
