@@ -30,7 +30,7 @@ from jaxtyping import Array, Float
 from jaxshell import rotations
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element, Kinematics
-from jaxshell.elements.products import columns_times, dot, product
+from jaxshell.elements.products import dot, product
 
 _NEGLIGIBLE = 1e-12
 """|Δπ|², dimensionless, below which f·Δe - f·½(G₀+G₁)Δπ = O(|Δπ|³) is lost in the rounding of e."""
@@ -233,7 +233,9 @@ def elastic_tangent(state: StepState, start: StepStart, element: Element, dissip
     F, M = _forces(state.s + c * d_metric, z + c * turned, end)
     by_change = -state.per_norm * _stacked((F, jax.vmap(product)(M, C)))
     E, C, z, direction, by_change = optimization_barrier((E, C, z, direction, by_change))
-    K = _from_local(E, state, C) + direction[:, None] * by_change[None, :]
+    # `jnp.dot`, which XLA does not form anew in the loop that adds the rest.
+    rows = jnp.concatenate([_variations(state.kin, C), by_change[None]])
+    K = jnp.dot(jnp.concatenate([E, direction[:, None]], axis=1), rows)
 
     # At fixed s: edges and mid-point rotations move, and Δπ changes with the end of the step.
     A_end = jnp.swapaxes(state.A, 1, 2)
@@ -326,24 +328,15 @@ def _local_tangent(state: StepState, start: StepStart, element: Element, dissipa
     return jnp.concatenate([F.reshape(6, 12), _times_edges(p, state.edges).reshape(9, 12)])
 
 
-def _from_local(E: Float[Array, "15 12"], state: StepState, C) -> Float[Array, "15 15"]:
-    """E ∂e'/∂(Δa, Δb, θ_1, θ_2, θ_3)."""
-    length, bx, by = state.kin.coordinates
-    frame = state.kin.frame
-    by_spin = E[:, 3:].reshape(15, 3, 3)
-    total = -(by_spin[:, 0] + by_spin[:, 1] + by_spin[:, 2])  # by the spin of the frame
-    El, Ex, Ey = E[:, 0], E[:, 1], E[:, 2]
-    local = jnp.stack(
-        [
-            El,
-            (by * Ex - bx * Ey + total[:, 2]) / length,
-            -(total[:, 1] + total[:, 0] * bx / by) / length,
-            Ex,
-            Ey,
-            total[:, 0] / by,
-        ],
-        axis=1,
-    )
-    by_edges = product(local.reshape(15, 2, 3), frame)
-    by_theta = columns_times(by_spin, jax.vmap(lambda C: product(frame, C))(C))
-    return jnp.concatenate([by_edges.reshape(15, 6), by_theta.reshape(15, 9)], axis=1)
+def _variations(kin: Kinematics, C) -> Float[Array, "12 15"]:
+    """∂e'/∂(Δa, Δb, θ_1, θ_2, θ_3); the spin of the frame follows the edges, eq. (69)."""
+    length, bx, by = kin.coordinates
+    no, one = jnp.zeros_like(length), jnp.ones_like(length)
+    metric = [one, no, no, no, no, no, no, by / length, no, one, no, no, no, -bx / length, no, no, one, no]
+    tilt = [no, no, bx / (by * length), no, no, -1.0 / by, no, no, 1.0 / length, no, no, no]
+    turn = [no, -1.0 / length, no, no, no, no]
+    by_edges = product(jnp.stack(metric + tilt + turn).reshape(6, 2, 3), kin.frame).reshape(6, 6)
+    by_edges = jnp.concatenate([by_edges, by_edges[3:], by_edges[3:]])
+    own = jnp.transpose(jnp.dot(kin.frame, C), (1, 0, 2))
+    own = (own[:, :, None] * jnp.eye(3)[:, None, :, None]).reshape(9, 9)
+    return jnp.concatenate([by_edges, jnp.concatenate([jnp.zeros((3, 9)), own])], axis=1)

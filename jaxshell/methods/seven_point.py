@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxshell.elements import inertia
+from jaxshell.elements import corotational, inertia
 from jaxshell.elements.corotational import Element
 from jaxshell.elements.inertia import (
     GAUSS_POINTS,
@@ -53,9 +53,7 @@ def inertial_tangent(theta, points: PointStart | None, element: Element, factors
     stiffness = jax.vmap(inertia.point_tangent, in_axes=(0, 0, None))(
         product(jnp.asarray(GAUSS_POINTS), theta), points, factors
     )
-    stiffness = jax.lax.optimization_barrier(stiffness)
-    blocks = element.area * element.rotary_inertia * product(jnp.asarray(_PAIR_WEIGHTS), stiffness)
-    return K + jnp.pad(jnp.transpose(blocks, (0, 2, 1, 3)), [(0, 0), (3, 0)] * 2).reshape(18, 18)
+    return K + corotational.on_rotations(_PAIR_WEIGHTS, element.area * element.rotary_inertia * stiffness)
 
 
 _POINTS_TO_NODES = (GAUSS_WEIGHTS[:, None] * GAUSS_POINTS).T
