@@ -6,8 +6,8 @@
     python benchmarks/stability_map.py --quick --output DIR
 
 Writes `stability_map.json` (every figure), `stability_map.png`, and the tables: into the page stability.md of
-the output folder between its markers `<!-- map -->` and `<!-- inside -->`, or where there is no such page into
-`stability_map.md`.
+the output folder between its markers `<!-- map -->`, `<!-- limits -->` and `<!-- inside -->`, or where there is no
+such page into `stability_map.md`.
 
 Drift is (K + S - W)/max|W|, the energy that the method made (+) or lost (-) as part of the work of the loads.
 Newton may take 100 iterations here, each with its own factorization, so that a failure is the method's; where its
@@ -41,6 +41,8 @@ from jaxshell.plotting.style import ORANGE, VERMILLION
 
 GROWN = 0.05
 """Drift from which energy counts as grown: the run has failed, whether it goes on or not."""
+LIMITS = (6, 8, 10, 25)
+"""Newton iterations a step: when a run would have ended that allows no more is recorded."""
 LEFT = 0.01
 """Size of the drift whose first crossing is recorded."""
 PATIENT, USUAL = js.Newton(max_iterations=100, reuse=False), js.Newton().max_iterations
@@ -125,6 +127,7 @@ def measure(case: Case, label: str, method: Method, dt: float) -> dict:
         "left_1_percent": _first(times, np.abs(drift) > LEFT),
         "grew": _first(times, drift > GROWN),
         "default_newton_gave_up": _first(times[:-1], iterations > usual),
+        "limits": {str(limit): _ended(drift, iterations > limit * usual // USUAL) for limit in LIMITS},
         "momentum_drift": _momentum_drift(case, times, np.asarray(solution.momentum.linear)),
         "angular_drift": _momentum_drift(case, times, np.asarray(solution.momentum.angular)),
         "iterations_mean": float(iterations.mean()) if iterations.size else None,
@@ -136,6 +139,14 @@ def measure(case: Case, label: str, method: Method, dt: float) -> dict:
 def _first(times, mask) -> float | None:
     """The first time at which the mask holds."""
     return float(times[np.argmax(mask)]) if mask.any() else None
+
+
+def _ended(drift, mask) -> dict | None:
+    """The first step at which the mask holds, and the drift at its start and the largest until then."""
+    if not mask.any():
+        return None
+    k = int(np.argmax(mask))
+    return {"step": k + 1, "drift": float(drift[k]), "most": float(np.abs(drift[: k + 1]).max())}
 
 
 def _how(solution: js.Solution) -> str:
@@ -250,6 +261,19 @@ def map_table(rows: list[dict]) -> str:
     return "\n\n".join(tables)
 
 
+def limits_table(rows: list[dict]) -> str:
+    """Of Newmark's runs on the plate: with what energy they end, by the iterations allowed in a step."""
+    runs = [row for row in rows if row["method"].startswith("Newmark") and row["scene"].startswith("plate")]
+    cells = []
+    for row in runs:
+        if row.get("limits") and row["scene"] != "plate, 1 s":  # which has ended by then
+            cells.append([row["scene"], f"{row['dt']:.3g}"])
+            for end in row["limits"].values():
+                told = end and f"step {end['step']}: {_percent(end['drift'])} ({100 * end['most']:.2g} %)"
+                cells[-1].append(told or "goes on")
+    return table(["scene", "Δt", *(f"{limit} iterations" for limit in LIMITS)], cells)
+
+
 def anatomy_table(anatomies: dict[str, list[dict]]) -> str:
     header = [
         "step", "drift", "alternation of accelerations", "largest [m/s²]", "membrane energy [J]",
@@ -266,7 +290,7 @@ def anatomy_table(anatomies: dict[str, list[dict]]) -> str:
             for r in rows
         ]  # fmt: skip
         step = rows[0]["time"] / rows[0]["step"]
-        tables.append(f"**{label}** on the plate, Δt = {step:.3g} s\n\n{table(header, cells)}")
+        tables.append(f"**{label}**, Δt = {step:.3g} s\n\n{table(header, cells)}")
     return "\n\n".join(tables)
 
 
@@ -323,7 +347,7 @@ def draw(output: Path) -> None:
     """The picture and the tables from the figures in the output folder."""
     content = json.loads((output / "stability_map.json").read_text())
     picture(content["runs"], output / "stability_map.png")
-    tables = {"map": map_table(content["runs"])}
+    tables = {"map": map_table(content["runs"]), "limits": limits_table(content["runs"])}
     if content["anatomies"]:
         tables["inside"] = anatomy_table(content["anatomies"])
     page = output / "stability.md"
@@ -360,9 +384,12 @@ def main(arguments: list[str] | None = None) -> None:
                 rows.append(row)
         # With what is known of the scenes to come: a run that is stopped keeps all.
         write([*rows, *known.values()], content["anatomies"], options.output)
-    case = cases(options.quick)[0]
-    newmark = case.methods[0]
-    anatomies = content["anatomies"] or {newmark: anatomy(case._replace(duration=0.04), newmark, 5e-5)}
+    (plate, *others), anatomies = cases(options.quick), content["anatomies"]
+    newmark = plate.methods[0]
+    inside = [(plate._replace(duration=0.04), 50), *((case, 250) for case in others if "0.8" in case.label)]
+    for case, stride in inside:
+        label = f"{newmark}, {case.label}"
+        anatomies[label] = anatomies.get(label) or anatomy(case, newmark, 5e-5, stride)
     write(rows, anatomies, options.output)
     print(f"{len(rows)} runs, {sum(row['wall_time'] for row in rows):.0f} s", flush=True)
 

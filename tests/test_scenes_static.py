@@ -43,7 +43,9 @@ def test_an_unknown_load_is_refused():
 
 def run_and_compare(scene, factors, reference, tolerance):
     run = js.solve_static(scene, factors)
-    assert imbalance(run) < 1e-9
+    left = imbalance(run)
+    print(f"{scene.name}: loads and reactions out of balance by {left:.1e}")
+    assert left < 1e-9
     for label, values in reference.items():
         for factor, value in values.items():
             at = int(np.flatnonzero(np.isclose(np.asarray(run.times), factor))[0])
