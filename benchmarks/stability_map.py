@@ -1,12 +1,13 @@
 """Stability map: method × time step × scene over long runs. Who survives, who fails, when and how.
 
     python benchmarks/stability_map.py                 # the full map (tens of minutes), into docs/
+    python benchmarks/stability_map.py --missing       # only the cells that the figures do not hold yet
     python benchmarks/stability_map.py --redraw        # its tables and picture again from the figures, without a run
     python benchmarks/stability_map.py --quick --output DIR
 
 Writes `stability_map.json` (every figure), `stability_map.png`, and the tables: into the page stability.md of
-the output folder between its markers `<!-- map -->` and `<!-- inside -->`, or where there is no such page into
-`stability_map.md`.
+the output folder between its markers `<!-- map -->`, `<!-- limits -->` and `<!-- inside -->`, or where there is no
+such page into `stability_map.md`.
 
 Drift is (K + S - W)/max|W|, the energy that the method made (+) or lost (-) as part of the work of the loads.
 Newton may take 100 iterations here, each with its own factorization, so that a failure is the method's; where its
@@ -40,6 +41,8 @@ from jaxshell.plotting.style import ORANGE, VERMILLION
 
 GROWN = 0.05
 """Drift from which energy counts as grown: the run has failed, whether it goes on or not."""
+LIMITS = (6, 8, 10, 25)
+"""Newton iterations a step: when a run would have ended that allows no more is recorded."""
 LEFT = 0.01
 """Size of the drift whose first crossing is recorded."""
 PATIENT, USUAL = js.Newton(max_iterations=100, reuse=False), js.Newton().max_iterations
@@ -78,7 +81,7 @@ def cases(quick: bool) -> list[Case]:
     ]
     return [
         Case("plate, 0.1 s", plate, 0.1, (5e-5, 1e-4, 2e-4), (*implicit, EXPLICIT)),
-        Case("plate, 1 s", plate, 1.0, (5e-5,), (*few, "EMC (Yang & Xia)")),
+        Case("plate, 1 s", plate, 1.0, (5e-5,), implicit),
         Case("cap, 5 ms", js.scenes.spherical_cap(), 5e-3, (2e-6, 5e-6, 1e-5), (*implicit, EXPLICIT)),
         Case("opened cap, t = 20", js.scenes.opened_cap(), 20.0, (0.02,), (*implicit, EXPLICIT)),
         *milder,
@@ -124,6 +127,7 @@ def measure(case: Case, label: str, method: Method, dt: float) -> dict:
         "left_1_percent": _first(times, np.abs(drift) > LEFT),
         "grew": _first(times, drift > GROWN),
         "default_newton_gave_up": _first(times[:-1], iterations > usual),
+        "limits": {str(limit): _ended(drift, iterations > limit * usual // USUAL) for limit in LIMITS},
         "momentum_drift": _momentum_drift(case, times, np.asarray(solution.momentum.linear)),
         "angular_drift": _momentum_drift(case, times, np.asarray(solution.momentum.angular)),
         "iterations_mean": float(iterations.mean()) if iterations.size else None,
@@ -135,6 +139,14 @@ def measure(case: Case, label: str, method: Method, dt: float) -> dict:
 def _first(times, mask) -> float | None:
     """The first time at which the mask holds."""
     return float(times[np.argmax(mask)]) if mask.any() else None
+
+
+def _ended(drift, mask) -> dict | None:
+    """The first step at which the mask holds, and the drift at its start and the largest until then."""
+    if not mask.any():
+        return None
+    k = int(np.argmax(mask))
+    return {"step": k + 1, "drift": float(drift[k]), "most": float(np.abs(drift[: k + 1]).max())}
 
 
 def _how(solution: js.Solution) -> str:
@@ -249,6 +261,19 @@ def map_table(rows: list[dict]) -> str:
     return "\n\n".join(tables)
 
 
+def limits_table(rows: list[dict]) -> str:
+    """Of Newmark's runs on the plate: with what energy they end, by the iterations allowed in a step."""
+    runs = [row for row in rows if row["method"].startswith("Newmark") and row["scene"].startswith("plate")]
+    cells = []
+    for row in runs:
+        if row.get("limits") and row["scene"] != "plate, 1 s":  # which has ended by then
+            cells.append([row["scene"], f"{row['dt']:.3g}"])
+            for end in row["limits"].values():
+                told = end and f"step {end['step']}: {_percent(end['drift'])} ({100 * end['most']:.2g} %)"
+                cells[-1].append(told or "goes on")
+    return table(["scene", "Δt", *(f"{limit} iterations" for limit in LIMITS)], cells)
+
+
 def anatomy_table(anatomies: dict[str, list[dict]]) -> str:
     header = [
         "step", "drift", "alternation of accelerations", "largest [m/s²]", "membrane energy [J]",
@@ -265,7 +290,7 @@ def anatomy_table(anatomies: dict[str, list[dict]]) -> str:
             for r in rows
         ]  # fmt: skip
         step = rows[0]["time"] / rows[0]["step"]
-        tables.append(f"**{label}** on the plate, Δt = {step:.3g} s\n\n{table(header, cells)}")
+        tables.append(f"**{label}**, Δt = {step:.3g} s\n\n{table(header, cells)}")
     return "\n\n".join(tables)
 
 
@@ -322,7 +347,7 @@ def draw(output: Path) -> None:
     """The picture and the tables from the figures in the output folder."""
     content = json.loads((output / "stability_map.json").read_text())
     picture(content["runs"], output / "stability_map.png")
-    tables = {"map": map_table(content["runs"])}
+    tables = {"map": map_table(content["runs"]), "limits": limits_table(content["runs"])}
     if content["anatomies"]:
         tables["inside"] = anatomy_table(content["anatomies"])
     page = output / "stability.md"
@@ -335,6 +360,7 @@ def draw(output: Path) -> None:
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Method by time step by scene: who survives, who fails, when and how.")
     parser.add_argument("--quick", action="store_true", help="one short scene and three methods")
+    parser.add_argument("--missing", action="store_true", help="only runs that stability_map.json does not hold")
     parser.add_argument("--redraw", action="store_true", help="tables and picture from stability_map.json, no run")
     parser.add_argument("--output", type=Path, default=DOCS)
     options = parser.parse_args(arguments)
@@ -342,18 +368,28 @@ def main(arguments: list[str] | None = None) -> None:
         draw(options.output)
         return
     jax.config.update("jax_enable_x64", True)
+    file = options.output / "stability_map.json"
+    content = json.loads(file.read_text()) if options.missing else {"runs": [], "anatomies": {}}
+    known = {(row["scene"], row["method"], f"{row['dt']:.6g}"): row for row in content["runs"]}
     rows: list[dict] = []
     for case in cases(options.quick):
         for label in case.methods:
             explicit = js.CentralDifference()
             steps = (explicit.critical_step(case.scene),) if label == EXPLICIT else case.steps
             for dt in steps:
-                rows.append(measure(case, label, METHODS.get(label, explicit), dt))
-                print(json.dumps(rows[-1], ensure_ascii=False), flush=True)
-        write(rows, {}, options.output)
-    case = cases(options.quick)[0]
-    chosen = case.methods[:1] if options.quick else cases(False)[1].methods[:2]
-    anatomies = {label: anatomy(case._replace(duration=0.04), label, 5e-5) for label in chosen}
+                row = known.pop((case.label, label, f"{dt:.6g}"), None)
+                if row is None:
+                    row = measure(case, label, METHODS.get(label, explicit), dt)
+                    print(json.dumps(row, ensure_ascii=False), flush=True)
+                rows.append(row)
+        # With what is known of the scenes to come: a run that is stopped keeps all.
+        write([*rows, *known.values()], content["anatomies"], options.output)
+    (plate, *others), anatomies = cases(options.quick), content["anatomies"]
+    newmark = plate.methods[0]
+    inside = [(plate._replace(duration=0.04), 50), *((case, 250) for case in others if "0.8" in case.label)]
+    for case, stride in inside:
+        label = f"{newmark}, {case.label}"
+        anatomies[label] = anatomies.get(label) or anatomy(case, newmark, 5e-5, stride)
     write(rows, anatomies, options.output)
     print(f"{len(rows)} runs, {sum(row['wall_time'] for row in rows):.0f} s", flush=True)
 

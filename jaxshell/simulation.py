@@ -21,6 +21,7 @@ from jaxshell.checks import check_finite, check_positive, is_concrete, require_f
 from jaxshell.gradients import Gradients, Stored
 from jaxshell.linear_solver import Handle, LinearSolver, default_solver
 from jaxshell.methods.base import Method
+from jaxshell.methods.with_reactions import WithReactions
 from jaxshell.model import structure_of
 from jaxshell.newton import SUCCESSFUL, Newton
 from jaxshell.program import Carry, Choices, Frame, Record
@@ -52,6 +53,7 @@ def simulate(
     dt,
     t_end=None,
     save_every: int = 1,
+    reactions: bool = False,
     tangent: str = "closed_form",
     newton: Newton | None = None,
     linear_solver: LinearSolver | None = None,
@@ -71,6 +73,7 @@ def simulate(
         t_end: duration of the run [time], counted from the start (or from the end of `restart`).
         save_every: steps between frames (displacements, rotations, velocities of all nodes); histories are
             kept at every step.
+        reactions: record what the supports carry in every step, for `jaxshell.reactions`; a residual more a step.
         tangent: "closed_form" or "autodiff" (`jax.jacfwd` of the element residual); the same run.
         newton: tolerances and limits of the iteration, see `Newton`.
         linear_solver: `Pardiso()`, `KLU()`, `Dense()`; None chooses for this machine.
@@ -99,7 +102,7 @@ def simulate(
         empty = jnp.zeros(0, jnp.int32)
         tables, handle = nodal_tables(structure_of(scene)), Handle(empty, empty, empty, ())
     choices = Choices(tangent, linear_solver, save_every, scene.watch)
-    as_arrays = _floats_to_arrays((method, newton))
+    as_arrays = _floats_to_arrays((WithReactions(method) if reactions else method, newton))
     run = Run(scene, as_arrays[0], as_arrays[1], tables, handle, choices)
 
     if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, method, newton, steps))):
@@ -224,6 +227,7 @@ def _settings(run: Run, steps, start) -> dict:
         "newton": repr_of(run.newton),
         "tangent": run.choices.tangent,
         "save_every": run.choices.save_every,
+        "reactions": isinstance(run.method, WithReactions),
         "dt": repr_of(steps.control) if controlled else float(steps[0]),
         "t_end": float(start + (steps.stops[-1] if controlled else np.sum(steps))),
     }
@@ -234,7 +238,7 @@ def _writer(output, scene: Scene, settings: dict):
         return contextlib.nullcontext()
     from jaxshell.storage import ResultWriter
 
-    return ResultWriter(output, scene, settings)
+    return ResultWriter(output, scene, settings, bool(settings.get("reactions")))
 
 
 def _traced_run(run: Run, steps, restart, gradients: Gradients, throw: bool) -> Solution:
@@ -269,7 +273,7 @@ def _resume(model, run: Run, carry: Carry, record, frame, restart: Solution | No
     if restart is None:
         return carry, record, frame, 0.0
     if jax.tree.structure(restart.state) != jax.tree.structure(carry.state):
-        raise ValueError("restart must be a solution of the same scene and method, with its final state.")
+        raise ValueError("restart must be a solution of the same scene, method and reactions, with its final state.")
     carry = carry._replace(state=restart.state)
     return carry, *program.first(model, run.method, carry.state, run.choices), float(restart.times[-1])
 
@@ -292,6 +296,7 @@ def _solution(scene, record: Record, frame: Frame, state, result, message, stats
         result=result,
         message=message,
         stats=stats,
+        reaction=seen.reaction,
     )
 
 
@@ -310,6 +315,7 @@ def _append(writer, scene: Scene, record: Record, frame: Frame) -> None:
         solution.displacements,
         solution.rotations,
         solution.velocities,
+        solution.reaction,
     )
 
 
@@ -329,6 +335,7 @@ def _message(code: int, taken: int, at, dt) -> str:
 
 def repr_of(module) -> str:
     """Name and arguments of a method or of Newton, floats as numbers: what a file and the stats quote."""
+    module = module.method if isinstance(module, WithReactions) else module
     values = (f"{name}={value!r}" if isinstance(value, float) else f"{name}={value}" for name, value in
               ((name, float(v) if isinstance(v, jax.Array) else v) for name, v in vars(module).items()))
     return f"{type(module).__name__}({', '.join(values)})"

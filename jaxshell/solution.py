@@ -83,6 +83,8 @@ class Solution(eqx.Module):
     """Host-side figures: method and its parameters, wall time, steps, iterations, factorizations, solver, ..."""
     state: Any = None
     """The method's state at the end, from which `simulate(restart=...)` goes on; not kept in files."""
+    reaction: Float[jax.Array, "k nh"] | None = None
+    """Of a run with reactions=True: what the supports carry at the held freedoms; `jaxshell.reactions` sorts it."""
 
     @property
     def step_sizes(self) -> Float[jax.Array, " k-1"]:

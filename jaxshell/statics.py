@@ -242,20 +242,28 @@ class Log:
         return _solution(self.scene, record, frame, state, result, message, stats, jnp.asarray)
 
 
-def reactions(solution: Solution) -> Float[Array, "f n 6"]:
-    """Forces and moments of the supports on the shell at every frame of a static solution.
+def reactions(solution: Solution) -> Float[Array, "*k n 6"]:
+    """Forces and moments of the supports on the shell, at every frame of a static solution or, of a run in time
+    made with `simulate(..., reactions=True)`, in every step.
 
     Zero at freedoms that are not held; forces [force] first, then moments [force·length] about the nodes.
-    With the loads they are in balance: their resultant and their moment about any point vanish.
-    Differentiable.
+    In statics they are in balance with the loads: their resultant and their moment about any point vanish.
+    In motion they also carry the inertial forces. They are those of the balance that the method solves in the
+    step: at its end (`Newmark`, `Bathe`), the mean over it (`EnergyMomentum`, `CentralDifference`, EMC), or
+    between (the other α methods, which weigh the end of the step with 1 - αf). NaN at the start, before any
+    step. Differentiable.
 
-    Raises ValueError for a solution that is not of `solve_static` or `solve_arc_length`: in motion the
-    supports carry the inertial forces too, which frames do not hold.
+    Raises ValueError for a run in time without reactions=True: frames do not hold the inertial forces.
     """
+    if solution.reaction is not None:
+        n, steps = solution.scene.mesh.n_nodes, solution.reaction.shape[:-1]
+        nodal = jnp.zeros((*steps, 6 * n)).at[..., solution.scene.held_dofs].set(solution.reaction)
+        return nodal.reshape(*steps, n, 6)
     method = solution.stats.get("method", "")
     if not (isinstance(solution.state, StaticState) or method.startswith("Static")):
         raise ValueError(
-            f"reactions() needs a solution of solve_static or solve_arc_length, not of {method!r}."
+            f"reactions() of a run in time need simulate(..., reactions=True), which this run of {method!r} "
+            "was made without."
         )
     tables, _ = analyse(structure_of(solution.scene))
     frames = solution.displacements, solution.rotations, solution.frame_times

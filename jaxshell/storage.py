@@ -7,7 +7,7 @@ Layout (schema 1), every float in double precision, units those of the scene:
     /scene       the scene as a tree: a group per object with its class in `kind`, a dataset per array,
                  an attribute (JSON) per name or setting
     /histories   times (k,), iterations (k,), watched/<label> (k,), momentum/{linear, angular} (k, 3),
-                 energy/{kinetic, strain, external_work, dissipated} (k,)
+                 energy/{kinetic, strain, external_work, dissipated} (k,); reaction (k, nh) where it was recorded
     /frames      times (f,), displacements (f, n, 3), velocities (f, n, 3), rotations (f, n, 4)
 
 Rotations are unit quaternions (w, x, y, z), 4 numbers in place of 9; a rotation matrix comes back to 1e-15.
@@ -49,11 +49,12 @@ class ResultWriter:
         path: the file; an existing one is replaced.
         scene: stored whole. Must be concrete (not traced by jit, grad or vmap).
         settings: how the scene is run (method, dt, ...): anything that JSON can hold, for reruns and legends.
+        reactions: whether the run records them.
 
     A run that ends without `finish` (killed, or left by an exception) keeps everything appended so far.
     """
 
-    def __init__(self, path, scene: Scene, settings: dict):
+    def __init__(self, path, scene: Scene, settings: dict, reactions: bool = False):
         self._labels = [label for label, _, _ in scene.watch]
         self._file = _open(path, "w")
         self._file.attrs.update(format=FORMAT, schema=SCHEMA, jaxshell=version(), settings=_to_json(settings))
@@ -65,6 +66,8 @@ class ResultWriter:
         _growing(histories, "iterations", (), np.int64)
         for name in _MOMENTUM:
             _growing(histories, f"momentum/{name}", (3,))
+        if reactions:
+            _growing(histories, "reaction", (scene.held_dofs.size,))
         _growing(frames, "times", ())
         n = scene.mesh.n_nodes
         for name, width in (("displacements", 3), ("rotations", 4), ("velocities", 3)):
@@ -72,8 +75,9 @@ class ResultWriter:
         self._file.flush()
 
     def append(
-        self, times, watched, energy, momentum, iterations, frame_times, displacements, rotations, velocities
-    ) -> None:
+        self, times, watched, energy, momentum, iterations, frame_times, displacements, rotations, velocities,
+        reaction=None,
+    ) -> None:  # fmt: skip
         """Add k steps and f frames, shaped as in `Solution`: `watched` a dict of (k,), `energy` an Energy,
         `momentum` a Momentum, rotations (f, n, 3, 3). Either may be none (k or f = 0)."""
         histories, frames = self._file["histories"], self._file["frames"]
@@ -88,6 +92,8 @@ class ResultWriter:
             _extend(histories[f"energy/{name}"], getattr(energy, name))
         for name in _MOMENTUM:
             _extend(histories[f"momentum/{name}"], getattr(momentum, name))
+        if reaction is not None:
+            _extend(histories["reaction"], reaction)
         _extend(histories["iterations"], iterations)
         _extend(histories["times"], times)
         self._file.flush()
@@ -117,7 +123,7 @@ def save_solution(solution: Solution, path) -> None:
             f"A solution of one run can be saved, but its times have shape {np.shape(solution.times)}. "
             "Index the batch first."
         )
-    with ResultWriter(path, solution.scene, solution.stats) as writer:
+    with ResultWriter(path, solution.scene, solution.stats, solution.reaction is not None) as writer:
         writer.append(
             solution.times,
             solution.watched,
@@ -128,6 +134,7 @@ def save_solution(solution: Solution, path) -> None:
             solution.displacements,
             solution.rotations,
             solution.velocities,
+            solution.reaction,
         )
         writer.finish(result_name(solution.result), solution.message, solution.stats)
 
@@ -147,7 +154,7 @@ def load_solution(path) -> Solution:
             watched = {label: histories[f"watched/{_dataset_name(label)}"] for label in labels}
             energy = {name: histories[f"energy/{name}"] for name in _ENERGY}
             momentum = {name: histories[f"momentum/{name}"] for name in _MOMENTUM}
-            single = {name: histories[name] for name in ("times", "iterations")}
+            single = {name: histories[name] for name in ("times", "iterations", "reaction") if name in histories}
             # A killed run may have got through a part of its last append only.
             k = min(len(d) for group in (watched, energy, momentum, single) for d in group.values())
             f = min(len(frames[name]) for name in ("times", "displacements", "rotations", "velocities"))
@@ -174,6 +181,7 @@ def load_solution(path) -> Solution:
                 result=result,
                 message=message,
                 stats=stats,
+                reaction=jnp.asarray(single["reaction"][:k]) if "reaction" in single else None,
             )
         except (KeyError, OSError, AttributeError, json.JSONDecodeError) as error:
             raise ValueError(f"{path} is damaged: {error}. Run the scene again.") from error

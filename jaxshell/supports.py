@@ -19,7 +19,9 @@ class Support(eqx.Module):
 
     Arguments:
         nodes: node indices.
-        dofs: names out of ux, uy, uz (displacements) and rx, ry, rz (rotations about the global axes).
+        dofs: names out of ux, uy, uz (displacements) and rx, ry, rz (rotations about the global axes). A rotation
+            that is held is left out of every step's turn. Where ONE is held and a node turns about both others,
+            where that leads depends on the steps, with the second order of the turn: hold two (a hinge) or three.
         displacement: prescribed displacement [length], scalar or one per entry of `dofs`; multiplied by
             `history`. None holds the freedoms where they are. Only for ux, uy, uz. Differentiable.
         history: how the prescribed displacement varies in time (statics goes by the load factor instead); zero at

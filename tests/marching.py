@@ -97,7 +97,7 @@ def steps_of(scene, method, dt, tables, handle) -> March:
     def step(carry, _):
         state, memory = carry
         new, info, memory = method.step(model, state, dt, solvers, memory)
-        residual = method.balance(model, state, method.begin(model, state, dt), dt * new.rates[0]).residual
+        residual = method.unbalanced(model, state, new, dt)
         normals = jnp.stack([unit_pressure(x) for x in (state.x, 0.5 * (state.x + new.x), new.x)])
         f = jnp.abs(jax.vmap(internal_force)(model.gather(new.x), model.gather(new.R), model.elements))
         strength = jnp.sum(f.reshape(-1, 2, 3) * jnp.array([jnp.max(jnp.abs(new.x)), 1.0])[:, None])

@@ -142,8 +142,9 @@ def test_stability_page_is_drawn_from_its_figures(tmp_path):
     assert (tmp_path / "stability.md").read_text(encoding="utf-8") == page
 
     figures = json.loads((tmp_path / "stability_map.json").read_text())
-    figures["runs"][0]["end"], figures["anatomies"]["Newmark 1/4, 1/2"][0]["drift"] = 0.123, 0.5
+    figures["runs"][0]["end"], figures["runs"][0]["limits"]["6"]["step"] = 0.123, 77
+    figures["anatomies"]["Newmark 1/4, 1/2, plate, 0.1 s"][0]["drift"] = 0.5
     (tmp_path / "stability_map.json").write_text(json.dumps(figures))
     stability_map.main(["--redraw", "--output", str(tmp_path)])
     changed = (tmp_path / "stability.md").read_text(encoding="utf-8")
-    assert "t = 0.123;" in changed and "| 50 | +50 % |" in changed
+    assert "t = 0.123;" in changed and "| step 77: " in changed and "| 50 | +50 % |" in changed

@@ -326,6 +326,14 @@ def test_central_difference_is_second_order():
     assert order(*ends(scene, method, 1.0, count)) == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [js.GeneralizedEnergyMomentum(1.0, 0.3), js.EnergyMomentum(0.3)])
+def test_dissipation_of_the_local_forces_is_of_first_order(method):
+    """Armero & Petocz's ξ acts like a viscosity ξΔt K̂; without it both methods are of second order, elsewhere."""
+    found = ends(strip(force=(0.1, 0.1, 2.0)), method, 1.0, 200)
+    assert order(*found) == pytest.approx(1.0, abs=0.1)
+
+
 # --- the critical step ------------------------------------------------------------------------------------
 
 

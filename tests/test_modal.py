@@ -100,8 +100,10 @@ def test_mass_of_a_rigid_motion():
 
 
 @pytest.mark.slow
-def test_a_mode_vibrates_at_its_frequency():
-    """Released with a mode's velocity, the plate follows sin ω t; the trapezoidal rule makes tan(ωΔt/2) of ωΔt/2."""
+@pytest.mark.parametrize("method", [js.Newmark(), js.GeneralizedEnergyMomentum(), js.EnergyMomentum()], ids=lambda m: type(m).__name__)
+def test_a_mode_vibrates_at_its_frequency(method):
+    """Released with a mode's velocity, the plate follows sin ω t; the trapezoidal rule makes tan(ωΔt/2) of ωΔt/2, and
+    so do the mid-point rules, which are the same for small motions. The other methods: test_methods.py."""
     scene = plate(4, ALL)
     modes = js.natural_frequencies(scene, 1)
     frequency, shape = float(modes.frequencies[0]), np.asarray(modes.shapes[0])
@@ -114,7 +116,7 @@ def test_a_mode_vibrates_at_its_frequency():
         watch={"middle": (12, "uz")},
     )
     dt = 1 / (40 * frequency)
-    run = js.simulate(moving, js.Newmark(), dt=dt, t_end=60 * dt)
+    run = js.simulate(moving, method, dt=dt, t_end=60 * dt)
     omega = 2 / dt * np.arctan(np.pi * frequency * dt)
     ratio = np.asarray(run.watched["middle"]) / (velocity[12, 2] / (2 * np.pi * frequency))
     assert ratio == pytest.approx(np.sin(omega * np.asarray(run.times)), abs=2e-3)

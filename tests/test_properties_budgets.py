@@ -1,8 +1,10 @@
-"""Budgets of momentum of the methods outside Newmark's family: Bathe's composite method and central differences.
+"""Budgets of momentum of Bathe's composite method and central differences, and moments where a balance stands at
+the end of the step.
 
 Random loads on the shells of `marching.py`. Bathe's two balances stand at the middle and at the end of a step; the
-impulse of a free flight is their sum, and under supports the end's is checked with the reactions that the state keeps.
-Central differences kick twice a step, so that impulses and their moments are known exactly.
+impulse of a free flight is their sum. At the end of a step of his method and of Newmark's, forces and moments of loads,
+reactions and inertia are in balance. Central differences kick twice a step, so that impulses and their moments are
+known exactly.
 """
 
 from typing import NamedTuple
@@ -46,7 +48,7 @@ class Look(NamedTuple):
 
 @eqx.filter_jit
 def states_of(scene, method, dt, tables, handle, own):
-    """`STEPS` steps: a `Look` at each of their STEPS + 1 states, and how the steps ended."""
+    """`STEPS` steps: a `Look` at each of their STEPS + 1 states; what the steps' balances leave, and how they ended."""
     model = Model.build(scene, tables)
     solvers = Solvers(NEWTON, Linear(js.Dense(), handle), "closed_form")
     first = method.start(model, scene, 0.0)
@@ -59,19 +61,20 @@ def states_of(scene, method, dt, tables, handle, own):
 
     def step(carry, _):
         state, info, memory = method.step(model, carry[0], dt, solvers, carry[1])
-        return (state, memory), (look(state), info.result)
+        return (state, memory), (look(state), method.unbalanced(model, carry[0], state, dt), info.result)
 
     memory = solvers.linear.memory(NEWTON) if method.uses_matrix else None
-    _, (looks, result) = jax.lax.scan(step, (first, memory), None, length=STEPS)
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), look(first), looks), result
+    _, (looks, left, result) = jax.lax.scan(step, (first, memory), None, length=STEPS)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), look(first), looks), left, result
 
 
-def looked_at(scene, method, dt, own) -> Look:
+def looked_at(scene, method, dt, own) -> tuple[Look, np.ndarray]:
+    """The states, and (STEPS, n, 6) what the balances leave."""
     tables, pattern = analyse(structure_of(scene))
     handle = js.Dense().prepare(pattern)
-    looks, result = jax.tree.map(np.asarray, states_of(scene, method, jnp.asarray(dt), tables, handle, own))
+    looks, left, result = jax.tree.map(np.asarray, states_of(scene, method, jnp.asarray(dt), tables, handle, own))
     assert np.all(result == 0)
-    return looks
+    return looks, left
 
 
 # --- Bathe ------------------------------------------------------------------------------------------------
@@ -93,7 +96,7 @@ def nothing(model, state):
 @given(flights(), TIME_STEPS)
 def test_bathe_in_free_flight_gains_the_impulse_of_three_loads(scene, dt):
     """ΔL = Δt (F_n + F_n+½ + F_n+1)/3: the trapezoidal rule to the middle, then v_1 from 3 v_1 - 4 v_½ + v_0 = Δt a_1."""
-    found = looked_at(scene, js.Bathe(), dt, nothing)
+    found, _ = looked_at(scene, js.Bathe(), dt, nothing)
     L = found.momenta[:, :3]
     for k in range(STEPS):
         forces = (found.loads[k] + found.halfway[k] + found.loads[k + 1]) / 3.0
@@ -102,8 +105,8 @@ def test_bathe_in_free_flight_gains_the_impulse_of_three_loads(scene, dt):
         assert error <= ROUND_OFF * scale  # internal forces sum to zero, however far Newton went
 
 
-def rates_and_reactions(model, state):
-    """Rate of both momenta from the accelerations (ẋ = v, v̇ = a, Ṙ = R ~Ω), and the reactions that are kept."""
+def rates_of_momenta(model, state):
+    """(6,) from the accelerations: ẋ = v, v̇ = a, Ṙ = R ~Ω."""
     spins = state.spins
     turning = Spins(
         jnp.einsum("mpij,mpjk->mpik", spins.R, jax.vmap(jax.vmap(skew))(spins.Omega)),
@@ -112,22 +115,26 @@ def rates_and_reactions(model, state):
     )
     motion, change = (state.x, state.v, spins), (state.v, state.a, turning)
     _, (_, *rates) = jax.jvp(lambda *motion: seven_point.kinetic_and_momenta(model, *motion), motion, change)
-    carried = jnp.zeros(6 * N).at[model.tables.held].set(state.reaction)
-    return jnp.concatenate(rates), carried.reshape(N, 6)
+    return jnp.concatenate(rates)
 
 
 @pytest.mark.slow
-@settings(PROFILE, max_examples=15)
-@given(shells(), TIME_STEPS)
-def test_bathe_is_in_balance_at_the_end_of_each_step(scene, dt):
+@pytest.mark.parametrize("method", [js.Bathe(), js.Newmark()], ids=["bathe", "newmark"])
+def test_forces_and_moments_are_in_balance_at_the_end_of_each_step(method):
     """Rates of linear and angular momentum are the resultants of loads and reactions there."""
-    found = looked_at(scene, js.Bathe(), dt, rates_and_reactions)
-    rates, carried = found.own
-    for k in range(1, STEPS + 1):
-        forces = found.loads[k] + carried[k]
-        error = np.abs(rates[k] - resultant(forces, found.x[k])).reshape(2, 3).max(axis=1)
-        scale = sizes(forces, found.x[k])
-        assert np.all(error <= CLOSED * scale)
+
+    @settings(PROFILE, max_examples=15)
+    @given(shells(), TIME_STEPS)
+    def balance(scene, dt):
+        found, left = looked_at(scene, method, dt, rates_of_momenta)
+        held = np.isin(np.arange(6 * N), scene.held_dofs).reshape(N, 6)
+        for k in range(1, STEPS + 1):
+            forces = found.loads[k] + np.where(held, left[k - 1], 0.0)
+            error = np.abs(found.own[k] - resultant(forces, found.x[k])).reshape(2, 3).max(axis=1)
+            scale = sizes(forces, found.x[k])
+            assert np.all(error <= CLOSED * scale)
+
+    balance()
 
 
 # --- central differences ----------------------------------------------------------------------------------
@@ -144,7 +151,7 @@ def kicks(model, state):
 def test_central_differences_gain_the_impulses_of_loads_and_reactions(scene, dt):
     """ΔL and ΔJ are half a step's forces at both its ends; the reactions are what the held nodes' motion asks for,
     and free nodes ask for none."""
-    found = looked_at(scene, js.CentralDifference(), dt, kicks)
+    found, mean = looked_at(scene, js.CentralDifference(), dt, kicks)
     internal, (mass, *_), rates, place = found.own
     held = np.isin(np.arange(6 * N), scene.held_dofs).reshape(N, 6)
     for k in range(STEPS):
@@ -156,6 +163,7 @@ def test_central_differences_gain_the_impulses_of_loads_and_reactions(scene, dt)
             mass * (middle - rates[k]) - impulses[0] + 0.5 * dt * internal[k],
             mass * (rates[k + 1] - middle) - impulses[1] + 0.5 * dt * internal[k + 1],
         ]
+        assert np.abs(sum(carried) - dt * mean[k]).max() <= ROUND_OFF * np.abs(carried).max()
         scale, gained = 0.0, 0.0
         for j, impulse, reaction in zip((k, k + 1), impulses, carried, strict=True):
             x = found.x[j]

@@ -60,6 +60,8 @@ class Observation(NamedTuple):
     dissipated: Float[Array, ""]
     linear: Float[Array, "3"]
     angular: Float[Array, "3"]
+    reaction: Float[Array, " nh"] | None = None
+    """Of the supports at the held freedoms, where it was asked for."""
 
 
 class StepInfo(NamedTuple):
@@ -103,6 +105,13 @@ class Method(eqx.Module):
     @abc.abstractmethod
     def step(self, model: Model, state, dt, solvers: Solvers, memory) -> tuple[Any, StepInfo, Any]:
         """One step: the new state, how it went, and Newton's memory (factorization, contraction) for the next."""
+
+    @abc.abstractmethod
+    def unbalanced(self, model: Model, before, after, dt) -> Float[Array, "n 6"]:
+        """Inertial plus internal minus external forces in the balance of the step between two states.
+
+        At held freedoms what the supports carry, at free ones what Newton has left.
+        """
 
 
 class ImplicitMethod(Method):
@@ -186,6 +195,9 @@ class ImplicitMethod(Method):
         u = self._differentiable(model, state, begun, held, problem, solved, solvers)
         info = StepInfo(solved.result, solved.iterations, solved.factorizations, solved.correction)
         return self.finish(model, state, dt, u, self.motion(state, u), begun), info, solved.memory
+
+    def unbalanced(self, model, before, after, dt):
+        return self.balance(model, before, self.begin(model, before, dt), dt * after.rates[0]).residual
 
     def _differentiable(self, model, state, begun, held, problem, solved, solvers) -> Float[Array, "n 6"]:
         """The converged increments, with the derivative of the equations that they solve."""

@@ -65,6 +65,13 @@ class Bathe(Method):
         )
         return end, info, memory
 
+    def unbalanced(self, model: Model, before: NewmarkState, after: NewmarkState, dt):
+        """Of the balance at the end; that in the middle is not told."""
+        first, h = Newmark(), 0.5 * dt
+        u = h * after.rates[1]
+        half = first.finish(model, before, h, u, first.motion(before, u), first.begin(model, before, h))
+        return ThreePointBackward().unbalanced(model, history(model, before, half, dt), after, h)
+
 
 def history(model: Model, start: NewmarkState, half: NewmarkState, dt) -> NewmarkState:
     """`half` with its rates replaced by what the two known points contribute to the rates at the end."""

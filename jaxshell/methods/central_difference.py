@@ -138,6 +138,11 @@ class CentralDifference(Method):
         zero = jnp.zeros((), jnp.int32)
         return new, StepInfo(jnp.where(stable, SUCCESSFUL, UNSTABLE), zero, zero, jnp.zeros(())), memory
 
+    def unbalanced(self, model: Model, before: ExplicitState, after: ExplicitState, dt):
+        """The mean of the step's two kicks."""
+        forces = 0.5 * (before.internal + after.internal - before.load - after.load)
+        return before.mass * (after.rates - before.rates) / dt + forces
+
     def observe(self, model: Model, state: ExplicitState) -> Observation:
         """Energies and momenta with the lumped inertia, velocities of the end of the step."""
         momentum = state.mass * state.rates
