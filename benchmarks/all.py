@@ -21,6 +21,7 @@ def main() -> int:
         ("harness.py", peers),
         ("cold_start.py", []),
         ("scaling.py", []),
+        ("limits.py", []),
         ("work_precision.py", peers),
         ("tables.py", []),
     ):

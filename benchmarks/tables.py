@@ -42,17 +42,15 @@ def speed(found: dict) -> str:
 
 def scaling(found: dict) -> str:
     lines = [
-        "| cores | unknowns | ms/step | ms/iteration | µs/element and iteration | first call s | memory MB |",
-        "|---|---|---|---|---|---|---|",
+        "| cores | MKL threads | unknowns | ms/step | ms/iteration | µs/element and iteration | first call s | memory MB |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for e in found["results"]:
         lines.append(
-            f"| {e['threads']} | {e['unknowns']} | {e['ms_per_step']:.1f} | {e['ms_per_iteration']:.1f} "
+            f"| {e['threads']} | {e['mkl_threads']} | {e['unknowns']} | {e['ms_per_step']:.1f} | {e['ms_per_iteration']:.1f} "
             f"| {e['us_per_element_and_iteration']:.1f} | {e['first_call_seconds']} | {e['peak_rss_mb']} |"
         )
-    for key, value in found.items():
-        if key.startswith("exponent"):
-            lines += ["", f"Cost grows as n^{value} ({key.split('_')[1]} core{'s' * (key.split('_')[1] != '1')})."]
+    lines += ["", f"Cost on one core grows as n^{found['exponents']['1']}."]
     return "\n".join([machine_line(found), "", *lines])
 
 

@@ -20,16 +20,21 @@ _THREAD_VARIABLES = ("MKL_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS
 
 
 class Worker:
-    """A program on the cores 0 to threads - 1, its libraries limited to as many threads."""
+    """A program on as many cores as `threads`, its libraries limited to as many threads.
 
-    def __init__(self, program: str, threads: int, python: str = sys.executable):
+    MKL, which factors for jaxshell, runs on the one thread that is jaxshell's default, or on `mkl_threads`.
+    """
+
+    def __init__(self, program: str, threads: int, python: str = sys.executable, mkl_threads: int | None = None):
         self.program, self.threads = program, threads
         environment = {
             **os.environ,
             **dict.fromkeys(_THREAD_VARIABLES, str(threads)),
+            "MKL_NUM_THREADS": str(mkl_threads or (1 if program == "jaxshell" else threads)),
             "PYTHONPATH": str(HERE.parent),
-            "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=" + ("true" if threads > 1 else "false"),
         }
+        if threads == 1:
+            environment["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false"
         cores = sorted(os.sched_getaffinity(0))[-threads:]
         self.log = tempfile.TemporaryFile("w+")  # noqa: SIM115 (open as long as the worker)
         self.process = subprocess.Popen(
