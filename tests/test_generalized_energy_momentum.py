@@ -216,6 +216,7 @@ def test_second_order(name):
     assert order(*found) == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inertia", ["traditional", "none"])
 def test_rotary_inertia_of_a_thin_shell_is_a_correction(inertia, flights):
     """(h/L)² of the translational inertia: the motions agree to a per cent, and not to round-off."""

@@ -91,7 +91,7 @@ FAMILY = {
     "generalized_alpha": numbers(0.0, 1.0).map(lambda rho: js.GeneralizedAlpha(jnp.asarray(rho))),
     "hht": numbers(-1.0 / 3.0, 0.0).map(lambda alpha: js.HHT(jnp.asarray(alpha))),
 }
-SLOW = ("generalized_alpha", "hht")
+SLOW = ("generalized_alpha", "hht", "newmark")
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,10 @@ def run(method, count=50, scene=None, **options):
     return js.simulate(shell() if scene is None else scene, method, dt=dt, t_end=count * dt, **options)
 
 
-@pytest.mark.parametrize("name", METHODS)
+SLOW = ("EDMC", "hht", "generalized_alpha")
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in METHODS])
 def test_loads_and_reactions_give_the_momentum(name):
     """The rate of the linear momentum, by the method's own formulas of acceleration and velocity, to 1e-9."""
     method = METHODS[name]
@@ -113,6 +116,7 @@ def test_a_run_without_them_says_so():
         run(METHODS["energy_momentum"], restart=plain)
 
 
+@pytest.mark.slow
 def test_gradient_of_a_reaction():
     """Of the lifted edge's force in z at the end, by the pull at the tip."""
 

@@ -126,6 +126,7 @@ def test_follower_pressure_with_both_tangents():
     assert float(solution.watched["tip"][-1]) > 1.0
 
 
+@pytest.mark.slow
 def test_static_gradient():
     """Through the implicit function theorem, against central differences."""
     scene = strip((TIP,))

@@ -40,6 +40,7 @@ def test_steps_land_on_output_times_and_kinks(method):
     assert solution.stats["rejected"] >= 0
 
 
+@pytest.mark.slow
 def test_a_tighter_tolerance_is_more_accurate_and_takes_more_steps():
     scene = cap(-20.0, [0.0, 1e-4, 1.0])
     exact = js.simulate(scene, js.EnergyMomentum(), dt=2.5e-7, t_end=1.5e-4)
