@@ -50,7 +50,8 @@ def scaling(found: dict) -> str:
             f"| {e['threads']} | {e['mkl_threads']} | {e['unknowns']} | {e['ms_per_step']:.1f} | {e['ms_per_iteration']:.1f} "
             f"| {e['us_per_element_and_iteration']:.1f} | {e['first_call_seconds']} | {e['peak_rss_mb']} |"
         )
-    lines += ["", f"Cost on one core grows as n^{found['exponents']['1']}."]
+    grows = (f"n^{exponent} (`--threads {chosen}`)" for chosen, exponent in found["exponents"].items())
+    lines += ["", f"Cost grows as {', '.join(grows)}."]
     return "\n".join([machine_line(found), "", *lines])
 
 

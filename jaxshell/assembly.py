@@ -13,6 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxshell.checks import index_array
 from jaxshell.frozen import Frozen
 from jaxshell.sparsity import SparsityPattern
 
@@ -47,10 +48,10 @@ class GatherSum(eqx.Module):
             chosen = rank == j
             layer = np.empty(chosen.sum(), np.int64)
             layer[position[chosen]] = sources[chosen]
-            layers.append(_indices(layer))
+            layers.append(index_array(layer))
         beyond = rank >= _GATHERED
-        extra = (_indices(sources[beyond]), _indices(position[beyond])) if beyond.any() else None
-        return cls(tuple(layers), _indices(order), extra)
+        extra = (index_array(sources[beyond]), index_array(position[beyond])) if beyond.any() else None
+        return cls(tuple(layers), index_array(order), extra)
 
     def __call__(self, source: Float[Array, "s *rest"]) -> Float[Array, "size *rest"]:
         total = source[self.layers[0]]
@@ -114,12 +115,12 @@ def nodal_tables(structure: Structure) -> Tables:
     with jax.ensure_compile_time_eval():
         corners = triangles.ravel()
         return Tables(
-            _indices(triangles),
+            index_array(triangles),
             GatherSum.build(corners, np.arange(corners.size), structure.n_nodes),
-            GatherSum((), _indices(np.zeros(0)), None),
-            _indices(free),
-            _indices(held),
-            _indices(place),
+            GatherSum((), index_array(np.zeros(0)), None),
+            index_array(free),
+            index_array(held),
+            index_array(place),
         )
 
 
@@ -130,8 +131,3 @@ def _free_dofs(structure: Structure) -> np.ndarray:
     if free.size == 0:
         raise ValueError("Every freedom is held by a support: there is nothing to compute.")
     return free
-
-
-def _indices(array: np.ndarray) -> Array:
-    # Converted by NumPy: jnp.asarray compiles a program for every length.
-    return jax.device_put(np.asarray(array, np.int32))

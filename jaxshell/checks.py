@@ -31,6 +31,11 @@ def float_array(value) -> jax.Array:
     return jnp.asarray(value, dtype=float)
 
 
+def index_array(value) -> jax.Array:
+    """Convert whole numbers (NumPy) to an int32 JAX array; jnp.asarray would compile a program for every length."""
+    return jax.device_put(np.asarray(value, np.int32))
+
+
 def check_finite(name: str, value) -> None:
     """Raise ValueError naming the first entry of `value` that is NaN or infinite."""
     if is_concrete(value):

@@ -42,6 +42,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Scalar, UInt64
 
+from jaxshell.checks import index_array
 from jaxshell.sparsity import SparsityPattern
 
 
@@ -124,14 +125,9 @@ class LinearSolver(eqx.Module):
 def _prepare(solver: LinearSolver, pattern: SparsityPattern, device: int) -> Handle:
     with jax.ensure_compile_time_eval():
         return Handle(
-            *(_indices(a) for a in (pattern.indptr.array, pattern.indices.array, pattern.rows)),
+            *(index_array(a) for a in (pattern.indptr.array, pattern.indices.array, pattern.rows)),
             native=solver._analyse(pattern, device),
         )
-
-
-def _indices(array: np.ndarray) -> Array:
-    # Converted by NumPy: jnp.asarray compiles a program for every length.
-    return jax.device_put(np.asarray(array, np.int32))
 
 
 def _dominant_values(pattern: SparsityPattern) -> np.ndarray:
@@ -151,7 +147,7 @@ class Pardiso(LinearSolver):
 
     def _analyse(self, pattern, device):
         # Two analyses a device, told apart by their values: for kept factorizations, and for `_solve_once`.
-        indptr, indices = (_indices(a.array) for a in (pattern.indptr, pattern.indices))
+        indptr, indices = (index_array(a.array) for a in (pattern.indptr, pattern.indices))
         values = _dominant_values(pattern)
         analyse = functools.partial(_pardiso().analyze, **_pardiso_options())
         return tuple(analyse(indptr, indices, jax.device_put((2 * device + k) * values))[0].id for k in (1, 2))
@@ -191,7 +187,7 @@ class KLU(LinearSolver):
 
     def _analyse(self, pattern, device):
         klujax = _klujax()
-        rows, columns = (_indices(a) for a in (pattern.rows, pattern.indices.array))
+        rows, columns = (index_array(a) for a in (pattern.rows, pattern.indices.array))
         symbolic = klujax.analyze(rows, columns, pattern.size)
         numeric = klujax.factor(rows, columns, jnp.asarray(_dominant_values(pattern)), symbolic)
         _native_objects.append((symbolic, numeric))

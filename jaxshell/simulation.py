@@ -238,7 +238,7 @@ def _writer(output, scene: Scene, settings: dict):
         return contextlib.nullcontext()
     from jaxshell.storage import ResultWriter
 
-    return ResultWriter(output, scene, settings, bool(settings.get("reactions")))
+    return ResultWriter(output, scene, settings, settings["reactions"])
 
 
 def _traced_run(run: Run, steps, restart, gradients: Gradients, throw: bool) -> Solution:

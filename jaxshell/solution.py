@@ -84,7 +84,8 @@ class Solution(eqx.Module):
     state: Any = None
     """The method's state at the end, from which `simulate(restart=...)` goes on; not kept in files."""
     reaction: Float[jax.Array, "k nh"] | None = None
-    """Of a run with reactions=True: what the supports carry at the held freedoms; `jaxshell.reactions` sorts it."""
+    """Of a run with reactions=True: what the supports carry at the held freedoms [force, force·length], which
+    `jaxshell.reactions` sorts by nodes."""
 
     @property
     def step_sizes(self) -> Float[jax.Array, " k-1"]:
