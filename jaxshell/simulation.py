@@ -151,7 +151,8 @@ def _driven_run(run: Run, steps, output, bar, restart) -> Solution:
         chunks = _fixed_chunks(run, model, carry, steps, start)
     records, frames = [_expand(record)], [_expand(frame)]
     first_chunk, counts, bar.start = 0.0, {}, start
-    with _writer(output, run.scene, _settings(run, steps, start)) as writer:
+    settings = _settings(run, steps, start)
+    with _writer(output, run.scene, settings, settings["reactions"]) as writer:
         _append(writer, run.scene, records[0], frames[0])
         for carry, record, frame, dt, counts in chunks:
             records.append(record)
@@ -233,12 +234,12 @@ def _settings(run: Run, steps, start) -> dict:
     }
 
 
-def _writer(output, scene: Scene, settings: dict):
+def _writer(output, scene: Scene, settings: dict, reactions: bool = False):
     if output is None:
         return contextlib.nullcontext()
     from jaxshell.storage import ResultWriter
 
-    return ResultWriter(output, scene, settings, settings["reactions"])
+    return ResultWriter(output, scene, settings, reactions)
 
 
 def _traced_run(run: Run, steps, restart, gradients: Gradients, throw: bool) -> Solution:
