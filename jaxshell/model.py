@@ -9,6 +9,7 @@ from jaxshell import rotations
 from jaxshell.assembly import Structure, Tables
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
+from jaxshell.fusion import formed
 from jaxshell.loads import History, Pressure
 from jaxshell.scene import Scene
 from jaxshell.supports import Support
@@ -54,7 +55,7 @@ class Model(eqx.Module):
 
     def assemble_matrix(self, matrices: Float[Array, "m 18 18"]) -> Float[Array, " nnz"]:
         """Values of the sparse matrix over the free freedoms."""
-        return self.tables.matrix(matrices.reshape(-1))
+        return self.tables.matrix(formed(matrices).reshape(-1))
 
     def free(self, nodal: Float[Array, "n 6"]) -> Float[Array, " nf"]:
         """The entries of a nodal vector at the free freedoms."""

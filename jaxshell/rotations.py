@@ -14,6 +14,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from scipy.special import zeta
 
+from jaxshell.elements.products import dot, product, scaled
+from jaxshell.fusion import formed
+
 Scalar = Float[Array, ""]
 Vector = Float[Array, "3"]
 Matrix = Float[Array, "3 3"]
@@ -21,8 +24,9 @@ Matrix = Float[Array, "3 3"]
 
 def skew(v: Vector) -> Matrix:
     """The skew matrix ~v: `skew(v) @ w == cross(v, w)`."""
-    zero = jnp.zeros_like(v[0])
-    return jnp.stack([zero, -v[2], v[1], v[2], zero, -v[0], -v[1], v[0], zero]).reshape(3, 3)
+    x, y, z = jnp.unstack(v)
+    zero = jnp.zeros_like(x)
+    return jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
 
 
 def axial(W: Matrix) -> Vector:
@@ -99,16 +103,18 @@ def mu(theta_sq: Scalar) -> Scalar:
 # --- maps between rotation vectors and matrices ----------------------------------------------------------
 
 
-def _compose(a, b, c, v: Vector) -> Matrix:
+def compose(a, b, c, v: Vector) -> Matrix:
     """a I + b ~v + c v vᵀ."""
-    return a * jnp.eye(3) + b * skew(v) + c * jnp.outer(v, v)
+    a, b, c = formed((a, b, c))
+    outer = product(v[:, None], v[None, :])
+    return scaled(a, jnp.eye(3)) + scaled(b, skew(v)) + scaled(c, outer)
 
 
 def exp(theta: Vector) -> Matrix:
     """Rotation matrix exp(~θ) of the rotation vector θ [rad], any angle (eq. (3))."""
-    theta_sq = jnp.sum(theta * theta)
+    theta_sq = formed(dot(theta, theta))
     c = cosine_ratio(theta_sq)
-    return _compose(1.0 - c * theta_sq, sine_ratio(theta_sq), c, theta)
+    return compose(1.0 - c * theta_sq, sine_ratio(theta_sq), c, theta)
 
 
 def cayley(theta: Vector) -> Matrix:
@@ -116,9 +122,9 @@ def cayley(theta: Vector) -> Matrix:
 
     It obeys cay(θ) - I = ½ ~θ (cay(θ) + I), which the exactly conserving scheme of Simo & Tarnow rests on.
     """
-    theta_sq = jnp.sum(theta * theta)
+    theta_sq = formed(dot(theta, theta))
     b = 1.0 / (1.0 + 0.25 * theta_sq)
-    return _compose(1.0 - 0.5 * b * theta_sq, b, 0.5 * b, theta)
+    return compose(1.0 - 0.5 * b * theta_sq, b, 0.5 * b, theta)
 
 
 _LOG_SERIES = [4.0**k * factorial(k) ** 2 / factorial(2 * k + 1) for k in range(14)]  # see `log`
@@ -131,7 +137,7 @@ def log(R: Matrix) -> Vector:
     only below π/2. Right, with its derivatives along rotations, from the identity up to and at π, where
     either of the two vectors ±πn is a right answer.
     """
-    r11, r12, r13, r21, r22, r23, r31, r32, r33 = (R[i, j] for i in range(3) for j in range(3))
+    r11, r12, r13, r21, r22, r23, r31, r32, r33 = jnp.unstack(R.reshape(9))
     # Row i of the symmetric matrix 4 q_i q_j, linear in R (Shepperd 1978). The row of a large q_i loses no
     # digits: one of the four q_i² is at least ¼, and with a positive trace w² is.
     rows = (
@@ -164,13 +170,13 @@ def H(theta: Vector) -> Matrix:
 
     H = I - ½ ~θ + η ~θ~θ, with ~θ~θ = θθᵀ - θ² I.
     """
-    theta_sq = jnp.sum(theta * theta)
+    theta_sq = formed(dot(theta, theta))
     c = eta(theta_sq)
-    return _compose(1.0 - c * theta_sq, -0.5, c, theta)
+    return compose(1.0 - c * theta_sq, -0.5, c, theta)
 
 
 def H_inverse(theta: Vector) -> Matrix:
     """H(θ)⁻¹ with dω = H⁻¹ dθ, any angle: I + (1 - cos θ)/θ² ~θ + (θ - sin θ)/θ³ ~θ~θ."""
-    theta_sq = jnp.sum(theta * theta)
+    theta_sq = formed(dot(theta, theta))
     c = sine_remainder_ratio(theta_sq)
-    return _compose(1.0 - c * theta_sq, cosine_ratio(theta_sq), c, theta)
+    return compose(1.0 - c * theta_sq, cosine_ratio(theta_sq), c, theta)

@@ -19,13 +19,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.lax import optimization_barrier
 from jaxtyping import Array, Float
 
 from jaxshell import rotations
 from jaxshell.elements.bending import bending_stiffness
 from jaxshell.elements.membrane import membrane_stiffness
-from jaxshell.elements.products import columns_times, dot, product, transposed_product
+from jaxshell.elements.products import columns_times, cross, dot, product, transposed_product
+from jaxshell.fusion import formed
 
 # Rows of the 9×9 membrane (u, v, θz per node) and bending (w, θx, θy per node) stiffness that are kept.
 _MEMBRANE_KEPT = np.array([3, 6, 7, 2, 5, 8])
@@ -89,10 +89,10 @@ def local_frame(x) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
     """Rows e1 ∥ edge 1-2, e2, e3 normal, eq. (54), and the local coordinates (l, b̄x, b̄y), from x (3, 3)."""
     a, b = x[1] - x[0], x[2] - x[0]
     length = jnp.sqrt(jnp.sum(a * a))
-    normal = jnp.cross(a, b)
+    normal = cross(a, b)
     double_area = jnp.sqrt(jnp.sum(normal * normal))
     e1, e3 = a / length, normal / double_area
-    frame = jnp.stack([e1, jnp.cross(e3, e1), e3])
+    frame = jnp.stack([e1, cross(e3, e1), e3])
     return frame, jnp.stack([length, jnp.sum(b * e1), double_area / length])
 
 
@@ -283,15 +283,15 @@ def stiffness(
 
     One product of 18 terms: twelve deformations, and three of each of Ḡ and Ḡᵀ, see `GeometricParts`.
     """
-    # The barriers keep XLA from forming the entries of one factor anew in every entry of a product.
-    kin, f = optimization_barrier((kin, f))
-    Lambda, G, parts = optimization_barrier(
+    # The factors of a product are formed once, and not anew in each of its entries.
+    kin, f = formed((kin, f))
+    Lambda, G, parts = formed(
         (deformation_gradient(kin), frame_spin(kin), geometric_parts(kin, f, local_forces(kin, f)))
     )
     K_Lambda = [product(element.K_membrane, Lambda[:6]), product(element.K_bending, Lambda[6:])]
     left = jnp.concatenate([Lambda, parts.X.T, G])
     right = jnp.concatenate([material * jnp.concatenate(K_Lambda), geometric * G, geometric * parts.Y])
-    left, right = optimization_barrier((left, right))
+    left, right = formed((left, right))
     left = gradient_to_global(left, kin)
     if average is not None:
         left = jnp.concatenate([average(left[:12]), left[12:]])

@@ -24,13 +24,13 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.lax import optimization_barrier
 from jaxtyping import Array, Float
 
 from jaxshell import rotations
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element, Kinematics
-from jaxshell.elements.products import dot, product
+from jaxshell.elements.products import cross, dot, product, scaled
+from jaxshell.fusion import formed
 
 _NEGLIGIBLE = 1e-12
 """|Δπ|², dimensionless, below which f·Δe - f·½(G₀+G₁)Δπ = O(|Δπ|³) is lost in the rounding of e."""
@@ -87,8 +87,8 @@ def spin_matrix(theta: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 def mid_matrix(theta: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """(I - ½~θ)⁻¹ = ½(I + cay(θ)) = (I + ½~θ + ¼θθᵀ)/(1 + ¼θ²)."""
-    outer = theta[:, None] * theta[None, :]
-    return (jnp.eye(3) + 0.5 * rotations.skew(theta) + 0.25 * outer) / (1.0 + 0.25 * dot(theta, theta))
+    factor = 1.0 / (1.0 + 0.25 * dot(theta, theta))
+    return rotations.compose(factor, 0.5 * factor, 0.25 * factor, theta)
 
 
 def edges_of(x: Float[Array, "3 3"]) -> Float[Array, "2 3"]:
@@ -109,7 +109,7 @@ def _moments(f) -> Float[Array, "3 3"]:
 
 def _pull(kin: Kinematics, f) -> Float[Array, "3 3"]:
     """μ_k = H(θ̄_k)ᵀ m̄_k."""
-    return jnp.sum(kin.H * _moments(f)[:, :, None], axis=1)
+    return dot(jnp.swapaxes(kin.H, 1, 2), _moments(f)[:, None])
 
 
 def _against_edges(coordinates, mu: Float[Array, "3 *c"]) -> Float[Array, "2 3 *c"]:
@@ -143,7 +143,8 @@ def _gradient(coordinates, metric, mu):
 def _forces(s, p, edges):
     """Dπᵀ s at the given edges: (2, 3) forces against the edges and (3, 3) moments on the nodes."""
     F = jnp.stack([s[0] * edges[0] + s[1] * edges[1], s[1] * edges[0] + s[2] * edges[1]])
-    return F + jnp.sum(p, axis=0), jnp.sum(jnp.cross(p, edges[None]), axis=1)
+    moments = cross(p, edges[None])
+    return F + p[0] + p[1] + p[2], moments[:, 0] + moments[:, 1]
 
 
 def evaluate(start: StepStart, x, R, u: Float[Array, "3 6"], element: Element, dissipation, excess=None) -> StepState:
@@ -161,13 +162,13 @@ def evaluate(start: StepStart, x, R, u: Float[Array, "3 6"], element: Element, d
     edges = start.edges + 0.5 * increments
     d_metric = jnp.stack(
         [
-            2.0 * jnp.sum(edges[0] * increments[0]),
-            jnp.sum(edges[0] * increments[1]) + jnp.sum(edges[1] * increments[0]),
-            2.0 * jnp.sum(edges[1] * increments[1]),
+            2.0 * dot(edges[0], increments[0]),
+            dot(edges[0], increments[1]) + dot(edges[1], increments[0]),
+            2.0 * dot(edges[1], increments[1]),
         ]
     )
     A = jax.vmap(mid_matrix)(theta)
-    y = increments[None] + jnp.cross(edges[None], theta[:, None])
+    y = increments[None] + cross(edges[None], theta[:, None])
     turned = _apply(A, y)
 
     mu = _pull(kin, f)
@@ -183,21 +184,20 @@ def evaluate(start: StepStart, x, R, u: Float[Array, "3 6"], element: Element, d
     moves = norm > _NEGLIGIBLE
     per_norm = jnp.where(moves, 1.0 / jnp.where(moves, norm, 1.0), 0.0)
     c = missing * per_norm
-    s = s + c * w_metric * d_metric
-    p = p + c * w * _apply_transposed(A, turned)
-    # Barriers keep XLA from forming what many entries share anew in each; here and below they save a quarter.
-    s, p, f, mu, P1, A, turned = optimization_barrier((s, p, f, mu, P1, A, turned))
+    s = s + scaled(c * w_metric, d_metric)
+    p = p + scaled(c * w, _apply_transposed(A, turned))
+    s, p, f, mu, P1, A, turned = formed((s, p, f, mu, P1, A, turned))
     return StepState(kin, increments, edges, theta, A, turned, d_metric, change, f, mu, P1, s, p, c, per_norm)
 
 
 def _apply(A, vectors) -> Float[Array, "3 2 3"]:
     """A_k v_ki."""
-    return jnp.sum(A[:, None] * vectors[:, :, None, :], axis=3)
+    return dot(A[:, None], vectors[:, :, None])
 
 
 def _apply_transposed(A, vectors) -> Float[Array, "3 2 3"]:
     """A_kᵀ v_ki."""
-    return jnp.sum(A[:, None] * vectors[:, :, :, None], axis=2)
+    return _apply(jnp.swapaxes(A, 1, 2), vectors)
 
 
 def elastic_forces(state: StepState) -> Float[Array, "18"]:
@@ -216,7 +216,7 @@ def elastic_tangent(state: StepState, start: StepStart, element: Element, dissip
     local spin of node k less that of the frame. E (15, 12) collects that dependence, with that of c, and one
     product with ∂e'/∂(Δa, Δb, θ) completes it. What is left acts at fixed s and in the change of Δπ.
     """
-    E = optimization_barrier(_local_tangent(state, start, element, dissipation))
+    E = formed(_local_tangent(state, start, element, dissipation))
     u = jnp.concatenate([state.increments, state.theta]).reshape(15)
     f = state.f + (0.5 + dissipation) * corotational.stresses(state.change, element)
     pulled = jnp.concatenate([f[:3], _pull(state.kin, f).reshape(9)])
@@ -224,15 +224,15 @@ def elastic_tangent(state: StepState, start: StepStart, element: Element, dissip
     # What c Δπ adds: c's dependence on e' joins E, its dependence on Δπ is the row `by_change`.
     d_metric, turned, c = w_metric * state.d_metric, w * state.turned, state.c
     direction = _stacked(_forces(d_metric, _apply_transposed(state.A, turned), state.edges))
-    direction, pulled = optimization_barrier((direction, state.per_norm * (pulled - product(u, E))))
+    direction, pulled = formed((direction, state.per_norm * (pulled - product(u, E))))
     E = E + direction[:, None] * pulled[None, :]
 
     end = state.edges + 0.5 * state.increments
     C = jax.vmap(spin_matrix)(state.theta)
-    z = state.p + 0.5 * jnp.cross(state.theta[:, None], state.p)  # R_k1 R_km⁻¹ p_ki
+    z = state.p + 0.5 * cross(state.theta[:, None], state.p)  # R_k1 R_km⁻¹ p_ki
     F, M = _forces(state.s + c * d_metric, z + c * turned, end)
     by_change = -state.per_norm * _stacked((F, jax.vmap(product)(M, C)))
-    E, C, z, direction, by_change = optimization_barrier((E, C, z, direction, by_change))
+    E, C, z, direction, by_change = formed((E, C, z, direction, by_change))
     # `jnp.dot`, which XLA does not form anew in the loop that adds the rest.
     rows = jnp.concatenate([_variations(state.kin, C), by_change[None]])
     K = jnp.dot(jnp.concatenate([E, direction[:, None]], axis=1), rows)
@@ -255,7 +255,7 @@ def elastic_tangent(state: StepState, start: StepStart, element: Element, dissip
     moments_theta = eye[:, None, :, None] * moments_theta[:, :, None, :]
     top = jnp.concatenate([forces_edges, forces_theta], axis=2)
     bottom = jnp.concatenate([jnp.transpose(moments_edges, (0, 2, 1, 3)), moments_theta], axis=2)
-    return _to_nodes(optimization_barrier(K.reshape(5, 3, 5, 3) + jnp.concatenate([top, bottom])))
+    return _to_nodes(formed(K.reshape(5, 3, 5, 3) + jnp.concatenate([top, bottom])))
 
 
 def _crossed(vectors: Float[Array, "k i 3 c"], edges) -> Float[Array, "k 2 3 c"]:
@@ -306,13 +306,13 @@ def _local_tangent(state: StepState, start: StepStart, element: Element, dissipa
     spread = jax.vmap(_against_edges, (None, 0))
     P_spins = spread(kin.coordinates, corrections) + _skews(state.P.reshape(6, 3)).reshape(3, 2, 3, 3)
     inner = jnp.concatenate([spread(kin.coordinates, HT1), P_metric, P_spins], axis=3)
-    inner, at_end = optimization_barrier((inner, at_end))
+    inner, at_end = formed((inner, at_end))
     placed = jax.vmap(lambda T, v: jax.vmap(lambda v: product(T, v))(v))
     outer = placed(at_end, inner)
     B = outer[..., :3] + placed(at_start, spread(began.coordinates, HT0))
     own = jnp.eye(3)[:, None, None, :, None] * outer[..., None, 6:]
     fixed = jnp.concatenate([outer[..., 3:6], own.reshape(3, 2, 3, 9)], axis=3)
-    B, moments, fixed = optimization_barrier((B, moments, fixed))
+    B, moments, fixed = formed((B, moments, fixed))
     p = jax.vmap(product)(B, moments) + fixed
 
     # s by e'
@@ -322,7 +322,7 @@ def _local_tangent(state: StepState, start: StepStart, element: Element, dissipa
     s = _against_metric(began.coordinates, metric, 0.5 * z0) + _against_metric(kin.coordinates, metric, 0.5 * z1)
     s = 0.5 * (s + jnp.concatenate([s_metric, jnp.zeros((3, 9))], axis=1))
 
-    p, s = optimization_barrier((p, s))
+    p, s = formed((p, s))
     (a, b), total = state.edges[:, :, None], p[0] + p[1] + p[2]
     F = jnp.stack([a * s[0] + b * s[1] + total[0], a * s[1] + b * s[2] + total[1]])
     return jnp.concatenate([F.reshape(6, 12), _times_edges(p, state.edges).reshape(9, 12)])

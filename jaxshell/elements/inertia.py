@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell import rotations
-from jaxshell.elements.products import dot, product
+from jaxshell.elements.products import cross, dot, product
 
 
 def _seven_point_rule() -> tuple[np.ndarray, np.ndarray]:
@@ -111,7 +111,7 @@ def _mid_point(theta, start: PointStart, factors: StepFactors, centrifugal: bool
     acceleration = factors.mid(factors.second(theta, first, second), second, factors.alpha_m)
     a = acceleration - dot(acceleration, t) * t
     if centrifugal:
-        a = a - dot(rate, t) * jnp.cross(rate, t)  # Ω × (Ω - t t·Ω)
+        a = a - dot(rate, t) * cross(rate, t)  # Ω × (Ω - t t·Ω)
     return end, averaged, rate, a
 
 
@@ -133,7 +133,7 @@ def point_tangent(theta, start: PointStart, factors: StepFactors, centrifugal: b
     beta, gamma, alpha_m, alpha_f, dt = factors
     material = (1.0 - alpha_m) / (beta * dt * dt) * (jnp.eye(3) - t[:, None] * t[None, :])
     if centrifugal:
-        gyroscopic = dot(rate, t) * rotations.skew(t) - jnp.cross(rate, t)[:, None] * t[None, :]
+        gyroscopic = dot(rate, t) * rotations.skew(t) - cross(rate, t)[:, None] * t[None, :]
         material = material + (1.0 - alpha_f) * gamma / (beta * dt) * gyroscopic
     turning = product(rotations.skew(product(end, a)), rotations.H_inverse(theta))
     return product(averaged, material) - (1.0 - alpha_f) * turning

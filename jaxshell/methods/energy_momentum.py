@@ -18,7 +18,7 @@ from jaxshell.elements import corotational, energy_momentum
 from jaxshell.elements.corotational import Element
 from jaxshell.elements.energy_momentum import StepStart, edges_of, mid_matrix, spin_matrix
 from jaxshell.elements.inertia import LINEAR_MASS
-from jaxshell.elements.products import product
+from jaxshell.elements.products import cross, dot, product, scaled
 from jaxshell.methods import predictor
 from jaxshell.methods.base import Forces, ImplicitMethod, Motion, Observation
 from jaxshell.methods.start import initial_motion
@@ -181,7 +181,7 @@ class EnergyMomentum(ImplicitMethod):
         pressure = middle(model.pressure) if model.pressures else None
         x, R, v, W = model.gather((state.x, state.R, state.v, state.W))
         normals = model.elements.frame[:, None, None, 2]
-        motion = DirectorMotion(v, jnp.sum(R * normals, axis=3), jnp.sum(W * normals, axis=3))
+        motion = DirectorMotion(v, dot(R, normals), dot(W, normals))
         kin = jax.vmap(corotational.kinematics)(x, R, model.elements)
         data = ElementData(model.elements, x, StepStart(jax.vmap(edges_of)(x), kin), motion, pressure)
         return data, Shared(dt, self.dissipation), middle(model.dead_load)
@@ -221,7 +221,7 @@ class EnergyMomentum(ImplicitMethod):
         elements = model.elements
         x, R, v, W = model.gather((state.x, state.R, state.v, state.W))
         normals = elements.frame[:, None, None, 2]
-        directors, rates = jnp.sum(R * normals, axis=3), jnp.sum(W * normals, axis=3)
+        directors, rates = dot(R, normals), dot(W, normals)
         weight = elements.area[:, None, None]
         momentum = weight * elements.mass_per_area[:, None, None] * (jnp.asarray(LINEAR_MASS) @ v)
         spin = weight * elements.rotary_inertia[:, None, None] * (jnp.asarray(LINEAR_MASS) @ rates)
@@ -241,22 +241,22 @@ def _evaluate(motion: Motion, u, data: ElementData, step: Shared) -> energy_mome
 
 def _masses(element: Element) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
     """∫ N_a N_b dA times ρh and ρh³/12: constant, since velocities and directors are linear in the element."""
-    linear = element.area * jnp.asarray(LINEAR_MASS)
-    return element.mass_per_area * linear, element.rotary_inertia * linear
+    linear = jnp.asarray(LINEAR_MASS)
+    return scaled(element.mass_per_area * element.area, linear), scaled(element.rotary_inertia * element.area, linear)
 
 
 def _director_step(u, start: DirectorMotion, element: Element, dt):
     """Mid-point directors t_m (3, 3) and the rate of their momenta Σ_b J_ab (ṫ₁ - ṫ₀)_b/Δt (3, 3)."""
     # t_m = ½ (I + cay(θ)) t₀, from t₁ - t₀ = θ × t_m.
     middle = jax.vmap(lambda A, t: product(A, t))(jax.vmap(mid_matrix)(u[:, 3:]), start.director)
-    change = jnp.cross(u[:, 3:], middle)
+    change = cross(u[:, 3:], middle)
     return middle, product(_masses(element)[1], 2.0 * (change / dt - start.rate) / dt)
 
 
 def director_inertia_forces(u, start: DirectorMotion, element: Element, dt) -> Float[Array, "18"]:
     """Force Σ_b M_ab (v₁ - v₀)_b/Δt and moment t_m,a × Σ_b J_ab (ṫ₁ - ṫ₀)_b/Δt on every node a."""
     force = product(_masses(element)[0], 2.0 * (u[:, :3] / dt - start.v) / dt)
-    moment = jnp.cross(*_director_step(u, start, element, dt))
+    moment = cross(*_director_step(u, start, element, dt))
     return jnp.stack([force, moment], axis=1).reshape(18)
 
 
@@ -284,7 +284,7 @@ def mean_pressure_force(x, moved, pressure) -> Float[Array, "18"]:
     The normal is quadratic along the path, so that Simpson's rule, a_m × b_m + Δa × Δb/12, is exact.
     """
     middle, change = edges_of(x + 0.5 * moved), edges_of(moved)
-    normal = jnp.cross(middle[0], middle[1]) + jnp.cross(change[0], change[1]) / 12.0
+    normal = cross(middle[0], middle[1]) + cross(change[0], change[1]) / 12.0
     return jnp.tile(jnp.concatenate([pressure / 6.0 * normal, jnp.zeros(3)]), 3)
 
 

@@ -19,7 +19,8 @@ from jaxshell.elements.inertia import (
     Spins,
     StepFactors,
 )
-from jaxshell.elements.products import dot, product
+from jaxshell.elements.products import dot, product, scaled
+from jaxshell.fusion import formed
 from jaxshell.model import Model
 from jaxshell.rotations import exp, log
 
@@ -33,14 +34,14 @@ def inertial_forces(increment, theta, v, a, points: PointStart | None, element: 
     """
     acceleration = factors.mid(factors.second(increment, v, a), a, factors.alpha_m)
     mass = element.mass_per_area * element.area
-    force = mass * product(jnp.asarray(LINEAR_MASS), acceleration)
+    force = scaled(mass, product(jnp.asarray(LINEAR_MASS), acceleration))
     if points is None:
         return jnp.stack([force, jnp.zeros((3, 3))], axis=1).reshape(18)
     moments = jax.vmap(inertia.point_inertia, in_axes=(0, 0, None))(
         product(jnp.asarray(GAUSS_POINTS), theta), points, factors
     )
-    moments = jax.lax.optimization_barrier(moments)
-    moment = element.area * element.rotary_inertia * product(jnp.asarray(_POINTS_TO_NODES), moments)
+    moments = formed(moments)
+    moment = scaled(element.area * element.rotary_inertia, product(jnp.asarray(_POINTS_TO_NODES), moments))
     return jnp.stack([force, moment], axis=1).reshape(18)
 
 
@@ -53,7 +54,8 @@ def inertial_tangent(theta, points: PointStart | None, element: Element, factors
     stiffness = jax.vmap(inertia.point_tangent, in_axes=(0, 0, None))(
         product(jnp.asarray(GAUSS_POINTS), theta), points, factors
     )
-    return K + corotational.on_rotations(_PAIR_WEIGHTS, element.area * element.rotary_inertia * stiffness)
+    stiffness = formed(element.area * element.rotary_inertia * stiffness)
+    return K + corotational.on_rotations(_PAIR_WEIGHTS, stiffness)
 
 
 _POINTS_TO_NODES = (GAUSS_WEIGHTS[:, None] * GAUSS_POINTS).T
