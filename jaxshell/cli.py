@@ -128,7 +128,6 @@ class _Version(argparse.Action):
 def _run(options: argparse.Namespace) -> int:
     _prepare_jax()
     from jaxshell.method_names import choose_methods, method_label, parse_method
-    from jaxshell.plotting import plot
     from jaxshell.report import describe_run, describe_scene
     from jaxshell.simulation import simulate
     from jaxshell.solution import RESULTS
@@ -186,6 +185,8 @@ def _run(options: argparse.Namespace) -> int:
             failed.append(label)
             print(f"jaxshell: {label} failed. {solution.message}", file=sys.stderr)
     if not options.no_plots:
+        from jaxshell.plotting import plot
+
         for path in plot(solutions, options.output, stem):
             say(f"  {path}")
     return 1 if failed else 0

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxshell.plotting.histories import energy_balance
 from jaxshell.scene import Scene
 from jaxshell.solution import Solution
 
@@ -32,6 +31,14 @@ def describe_run(label: str, run: Solution, path: Path) -> str:
         lines.append(f"  {name}: {least} to {most}")
     lines.append(f"  {path} ({path.stat().st_size / 1e6:.1f} MB)")
     return "\n".join(lines)
+
+
+def energy_balance(run: Solution) -> np.ndarray:
+    """(k,) change of K + S + D - W since the start, as a fraction of the largest K + S."""
+    energy = run.energy
+    balance = np.asarray(energy.total + energy.dissipated - energy.external_work)
+    largest = np.max(np.abs(np.asarray(energy.total)))
+    return (balance - balance[0]) / (largest if largest > 0 else 1.0)
 
 
 def _energy(run: Solution) -> list[str]:

@@ -15,9 +15,9 @@ from synthetic import synthetic_solution  # noqa: E402
 
 from jaxshell.generators import rectangle  # noqa: E402
 from jaxshell.plotting import figures, plot  # noqa: E402
-from jaxshell.plotting.histories import energy_balance  # noqa: E402
 from jaxshell.plotting.shapes import symmetry_planes  # noqa: E402
 from jaxshell.plotting.style import line, scaled  # noqa: E402
+from jaxshell.report import energy_balance  # noqa: E402
 from jaxshell.scene import Scene  # noqa: E402
 from jaxshell.scenes import PAPER  # noqa: E402
 from jaxshell.section import Section  # noqa: E402

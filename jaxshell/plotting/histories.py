@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 
 from jaxshell.plotting.shapes import symmetry_planes
 from jaxshell.plotting.style import BLACK, BLUE, GREEN, PURPLE, VERMILLION, WIDTH, line, scaled, symmetry_note
+from jaxshell.report import energy_balance
 from jaxshell.scene import Scene
 from jaxshell.solution import Solution
 
@@ -70,14 +71,6 @@ def energy_figure(runs: Runs) -> Figure:
     below.set_xlabel(time_text)
     below.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(runs))
     return figure
-
-
-def energy_balance(run: Solution) -> np.ndarray:
-    """(k,) change of K + S + D - W since the start, as a fraction of the largest K + S."""
-    energy = run.energy
-    balance = np.asarray(energy.total + energy.dissipated - energy.external_work)
-    largest = np.max(np.abs(np.asarray(energy.total)))
-    return (balance - balance[0]) / (largest if largest > 0 else 1.0)
 
 
 def momentum_figure(runs: Runs) -> Figure | None:
