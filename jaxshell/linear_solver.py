@@ -42,7 +42,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Scalar, UInt64
 
-from jaxshell.checks import index_array
+from jaxshell.checks import index_array, require_float64
 from jaxshell.sparsity import SparsityPattern
 
 
@@ -68,7 +68,7 @@ class LinearSolver(eqx.Module):
         Done once for each solver and pattern and remembered for the life of the process. Raises RuntimeError
         when float64 is off and ImportError when the solver's package cannot be imported.
         """
-        _require_float64()
+        require_float64()
         axes = jax.sharding.get_abstract_mesh().manual_axes
         if not axes:
             return _prepare(self, pattern, 0)
@@ -383,13 +383,6 @@ def _require_package(module: str, solver: str, install: str) -> None:
         raise ImportError(
             f"{solver}() needs the package {module}, which is not installed: run `{install}`, or choose"
             " another solver (default_solver() names one that is installed; Dense() needs no package)"
-        )
-
-
-def _require_float64() -> None:
-    if jax.dtypes.canonicalize_dtype(np.float64) != np.float64:
-        raise RuntimeError(
-            "jaxshell computes in float64, which is off: run jax.config.update('jax_enable_x64', True) first"
         )
 
 
