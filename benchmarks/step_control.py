@@ -57,7 +57,7 @@ def compare(scene: js.Scene, duration: float, fine: int, ends: tuple[int, int]) 
         return steps, float(np.sqrt(np.trapezoid(squares, times) / duration) / size)
 
     counts = np.unique(np.geomspace(*ends, 32).astype(int))
-    first = duration / ends[1]
+    first = duration / 30  # a guess that need not be good
     return [
         [tried(duration / int(count)) for count in counts],
         [tried(js.StepControl(float(tol), first, output_interval=duration)) for tol in TOLERANCES],
