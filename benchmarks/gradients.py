@@ -125,7 +125,8 @@ def batch(steps=100, count=32):
     loop, wall, cpu = best(lambda: jnp.stack([one(load) for load in loads]))
     print(f"  loop of compiled runs      {wall:6.2f} s ({cpu:.2f})", flush=True)
     found, wall, cpu = best(together, loads)
-    np.testing.assert_allclose(found, loop, rtol=1e-9)
+    # They iterate differently, to an error of 1e-8 of the shell's size in a step.
+    np.testing.assert_allclose(found, loop, rtol=0, atol=1e-8 * np.linalg.norm(np.ptp(cap.mesh.nodes, axis=0)))
     print(f"  jax.vmap                   {wall:6.2f} s ({cpu:.2f})", flush=True)
     subprocess.run([sys.executable, __file__, "batch", "devices"], check=True)
 

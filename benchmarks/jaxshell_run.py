@@ -4,18 +4,14 @@ Seconds are of the whole `simulate` call, its set-up included. The first call of
 request's "warm" says that the harness has made it already. `python benchmarks/jaxshell_run.py` reads stdin.
 """
 
-import os
 import sys
 import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "peers"))
-from serve import serve
-
-os.environ.setdefault("MKL_NUM_THREADS", "1")
-
 import jax
 import numpy as np
+from serve import serve
 
 jax.config.update("jax_enable_x64", True)
 

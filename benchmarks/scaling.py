@@ -1,4 +1,4 @@
-"""Cost against size: the cap refined from 1k to 60k unknowns, on one core, on two, and with two threads of MKL.
+"""Cost against size: the cap refined from 1k to 60k unknowns, on one core and on two.
 
 `python benchmarks/scaling.py` writes benchmarks/results/scaling.json: ms per step and iteration, compile time,
 peak memory, and the exponent p of cost ~ n^p between the first and the last mesh. Each size runs in a process of
@@ -23,16 +23,15 @@ STEPS = 10
 def main(arguments=None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--divisions", type=int, nargs="+", default=DIVISIONS)
-    parser.add_argument("--threads", nargs="+", default=["1", "2", "2,2"], help="cores, or cores and MKL's threads: 2,2")
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="cores")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--method", default="GeneralizedEnergyMomentum")
     parser.add_argument("--output", type=Path, default=HERE / "results" / "scaling.json")
     options = parser.parse_args(arguments)
     found = {"machine": machine(), "method": options.method, "steps": STEPS, "results": []}
-    for chosen in options.threads:
-        threads, mkl_threads = (*map(int, chosen.split(",")), 1)[:2]
+    for threads in options.threads:
         for divisions in options.divisions:
-            worker = Worker("jaxshell", threads, mkl_threads=mkl_threads)
+            worker = Worker("jaxshell", threads)
             request = {
                 "scene": "cap", "divisions": divisions, "method": options.method, "dt": 2e-6, "steps": STEPS,
                 "tolerance": 1e-8, "save_every": STEPS,
@@ -43,7 +42,6 @@ def main(arguments=None) -> int:
             seconds = median([run["seconds"] for run in runs])
             entry = {
                 "threads": threads,
-                "mkl_threads": mkl_threads,
                 "unknowns": first["unknowns"],
                 "elements": first["elements"],
                 "ms_per_step": 1e3 * seconds / STEPS,
@@ -56,9 +54,9 @@ def main(arguments=None) -> int:
             found["results"].append(entry)
             print(entry, flush=True)
             options.output.parent.mkdir(parents=True, exist_ok=True)
-            own = [e for e in found["results"] if (e["threads"], e["mkl_threads"]) == (threads, mkl_threads)]
+            own = [e for e in found["results"] if e["threads"] == threads]
             if len(own) > 1:
-                found.setdefault("exponents", {})[chosen] = round(
+                found.setdefault("exponents", {})[threads] = round(
                     math.log(own[-1]["ms_per_step"] / own[0]["ms_per_step"])
                     / math.log(own[-1]["unknowns"] / own[0]["unknowns"]),
                     3,

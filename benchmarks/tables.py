@@ -42,16 +42,16 @@ def speed(found: dict) -> str:
 
 def scaling(found: dict) -> str:
     lines = [
-        "| cores | MKL threads | unknowns | ms/step | ms/iteration | µs/element and iteration | first call s | memory MB |",
-        "|---|---|---|---|---|---|---|---|",
+        "| cores | unknowns | ms/step | ms/iteration | µs/element and iteration | first call s | memory MB |",
+        "|---|---|---|---|---|---|---|",
     ]
     for e in found["results"]:
         lines.append(
-            f"| {e['threads']} | {e['mkl_threads']} | {e['unknowns']} | {e['ms_per_step']:.1f} | {e['ms_per_iteration']:.1f} "
+            f"| {e['threads']} | {e['unknowns']} | {e['ms_per_step']:.1f} | {e['ms_per_iteration']:.1f} "
             f"| {e['us_per_element_and_iteration']:.1f} | {e['first_call_seconds']} | {e['peak_rss_mb']} |"
         )
-    grows = (f"n^{exponent} (`--threads {chosen}`)" for chosen, exponent in found["exponents"].items())
-    lines += ["", f"Cost grows as {', '.join(grows)}."]
+    grows = (f"n^{exponent} with {cores}" for cores, exponent in found["exponents"].items())
+    lines += ["", f"Cost grows as {' and '.join(grows)} of the cores."]
     return "\n".join([machine_line(found), "", *lines])
 
 

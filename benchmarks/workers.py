@@ -20,17 +20,13 @@ _THREAD_VARIABLES = ("MKL_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS
 
 
 class Worker:
-    """A program on as many cores as `threads`, its libraries limited to as many threads.
+    """A program on as many cores as `threads`, its libraries limited to as many threads."""
 
-    MKL, which factors for jaxshell, runs on the one thread that is jaxshell's default, or on `mkl_threads`.
-    """
-
-    def __init__(self, program: str, threads: int, python: str = sys.executable, mkl_threads: int | None = None):
+    def __init__(self, program: str, threads: int, python: str = sys.executable):
         self.program, self.threads = program, threads
         environment = {
             **os.environ,
             **dict.fromkeys(_THREAD_VARIABLES, str(threads)),
-            "MKL_NUM_THREADS": str(mkl_threads or (1 if program == "jaxshell" else threads)),
             "PYTHONPATH": str(HERE.parent),
         }
         if threads == 1:

@@ -77,17 +77,17 @@ def sine_remainder_ratio(theta_sq: Scalar) -> Scalar:
     return jnp.where(theta_sq < _SWITCH, _horner(_REMAINDER_SERIES, theta_sq), closed_form)
 
 
+def _powers_from_four(s: int) -> float:
+    """Σ_{k≥4} k⁻ˢ, Hurwitz' ζ(s, 4), from k = n on by Euler and Maclaurin. To import SciPy's takes 0.15 s."""
+    n = 1000
+    return fsum([*(float(k) ** -s for k in range(4, n)), n ** (1.0 - s) / (s - 1), n**-s / 2, s * n ** (-s - 1.0) / 12])
+
+
 # Euler's partial fractions of the cotangent, x cot x = 1 - 2 Σ x²/(k²π² - x²), turn (83) with x = θ/2 into
 #   η = 2 Σ_k 1/(4π²k² - θ²),  μ = 2 dη/d(θ²) = 4 Σ_k 1/(4π²k² - θ²)².
 # Nothing cancels in these sums, at any angle, and they need neither a tangent nor a branch at zero. The
 # first three terms (with the pole at 2π, where H ceases to exist) are taken as they stand and the rest,
 # k ≥ 4, as a power series in θ²; at 2π it falls by 16 with each term.
-def _powers_from_four(s: int) -> float:
-    """Σ_{k≥4} k⁻ˢ, Hurwitz' ζ(s, 4), from k = n on by Euler and Maclaurin. To import SciPy's takes 0.15 s."""
-    n = 1000.0
-    return fsum([*(float(k) ** -s for k in range(4, 1000)), n ** (1 - s) / (s - 1), n**-s / 2, s * n ** (-s - 1) / 12])
-
-
 _POLES = [(2 * pi * k) ** 2 for k in (1, 2, 3)]
 _ETA_SERIES = [2.0 * _powers_from_four(2 * j + 2) / (2 * pi) ** (2 * j + 2) for j in range(13)]
 _MU_SERIES = [2.0 * j * _ETA_SERIES[j] for j in range(1, 13)]
