@@ -11,26 +11,30 @@ import equinox as eqx
 import jax
 
 
-def one_by_one(function: Callable, *args, mapped: bool = False):
-    """`function(*args, mapped=False)`; under `jax.vmap` with mapped=True for one member after the other.
+def one_by_one(function: Callable, memory, *args):
+    """`function(memory, *args)`, which returns (found, memory); under `jax.vmap` for one member after the other.
 
-    args and results are pytrees of arrays and static values. Not to be differentiated. What `function` keeps outside
-    JAX's arrays, such as a native factorization, is another member's when it is called with mapped=True.
+    A batch has one memory, as it has one native factorization: each member gets what the one before it left,
+    and the first member of a step what the last one of the step before left. memory, args and results are
+    pytrees of arrays, args of static values too. Not to be differentiated.
     """
     arrays, static = eqx.partition(args, eqx.is_array)
 
     @jax.custom_batching.custom_vmap
-    def call(arrays):
-        return function(*eqx.combine(arrays, static), mapped=mapped)
+    def call(memory, arrays):
+        return function(memory, *eqx.combine(arrays, static))
 
     @call.def_vmap
-    def rule(axis_size, is_mapped, arrays):
-        members, shared = eqx.partition(arrays, is_mapped[0])
+    def rule(axis_size, is_mapped, memory, arrays):
+        members, shared = eqx.partition(arrays, is_mapped[1])
+        # Mapped only where a step was taken by some members and not by others: step control.
+        last = jax.tree.map(lambda leaf, mapped: leaf[-1] if mapped else leaf, memory, is_mapped[0])
 
-        def one(member):
-            return one_by_one(function, *eqx.combine(member, shared, static), mapped=True)
+        def one(memory, member):
+            found, memory = one_by_one(function, memory, *eqx.combine(member, shared, static))
+            return memory, found
 
-        found = jax.lax.map(one, members)
-        return found, jax.tree.map(lambda _: True, found)
+        memory, found = jax.lax.scan(one, last, members, length=axis_size)
+        return (found, memory), (jax.tree.map(lambda _: True, found), jax.tree.map(lambda _: False, memory))
 
-    return call(arrays)
+    return call(memory, arrays)

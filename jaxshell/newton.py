@@ -97,7 +97,6 @@ class Solved(NamedTuple):
     iterations: Int[Array, ""]
     factorizations: Int[Array, ""]
     correction: Float[Array, ""]
-    memory: Memory
 
 
 class _Carry(NamedTuple):
@@ -153,10 +152,11 @@ class Newton(eqx.Module):
         if self.criterion not in ("predicted", "norm"):
             raise ValueError(f'Newton criterion must be "predicted" or "norm", but it is {self.criterion!r}.')
 
-    def solve(self, problem: Problem, guess, size, rotates, linear: Linear, memory: Memory) -> Solved:
-        """Iterate from `guess` (nf,). `size` [length] and the mask `rotates` (nf,) scale the corrections.
+    def solve(self, problem: Problem, guess, size, rotates, linear: Linear, memory: Memory):
+        """Iterate from `guess` (nf,): (Solved, Memory for the next step).
 
-        Not to be differentiated: see `attach_derivative`.
+        `size` [length] and the mask `rotates` (nf,) scale the corrections. Not to be differentiated: see
+        `attach_derivative`.
         """
         scale = jnp.where(rotates, 1.0, 1.0 / size)
 
@@ -258,7 +258,7 @@ class Newton(eqx.Module):
             many = end.full & (end.iterations > _FEW)
             hard = jnp.where(many, 2, end.full | end.hard).astype(jnp.int32)
             kept = eqx.tree_at(lambda m: (m.stale, m.hard), kept, (kept.stale | useless, hard))
-        return Solved(end.free, result, end.iterations, end.factorizations, end.correction, kept)
+        return Solved(end.free, result, end.iterations, end.factorizations, end.correction), kept
 
     def _outlook(self, c: _Carry, length, q, fresh):
         """After a correction of scaled `length`, `q` times the last one, whose matrix was its iterate's if `fresh`:

@@ -74,14 +74,16 @@ def test_a_failed_run_has_no_gradient():
 
 
 def test_a_mapped_iteration_goes_at_its_own_pace():
-    def count(start, least, mapped):
-        """Halvings until the value is below `least`."""
-        return jax.lax.while_loop(lambda c: c[0] > least, lambda c: (c[0] / 2, c[1] + 1), (start, 0))
+    def count(before, start, least):
+        """Halvings until the value is below `least`, and all halvings so far."""
+        value, n = jax.lax.while_loop(lambda c: c[0] > least, lambda c: (c[0] / 2, c[1] + 1), (start, 0))
+        return (value, n), before + n
 
-    mapped = jax.vmap(lambda start: one_by_one(count, start, 1.0))
+    mapped = jax.vmap(lambda start: one_by_one(count, 5, start, 1.0), out_axes=(0, None))
     starts = jnp.array([1.0, 8.0, 1024.0])
-    value, halvings = jax.jit(mapped)(starts)
+    (value, halvings), total = jax.jit(mapped)(starts)
     assert halvings.tolist() == [0, 3, 10] and value.tolist() == [1.0, 1.0, 1.0]
+    assert total == 18  # what one member leaves goes to the next
     # The loop's condition stays that of one member, where jax.vmap alone would ask whether any goes on.
     assert "reduce_or" not in str(jax.make_jaxpr(mapped)(starts))
 

@@ -47,7 +47,7 @@ def linear() -> Linear:
 @eqx.filter_jit
 def solve(newton: Newton, load, guess):
     equations, solver = problem(lambda u: residual(u, load)), linear()
-    return newton.solve(equations, guess, SIZE, ROTATES, solver, solver.memory(newton))
+    return newton.solve(equations, guess, SIZE, ROTATES, solver, solver.memory(newton))[0]
 
 
 def root(load) -> np.ndarray:
@@ -97,7 +97,7 @@ def test_round_off_ends_the_iteration_with_kept_factorizations():
 
     solver = linear()
     equations = problem(noisy)._replace(matrix=lambda u, _: jax.jacfwd(residual)(u, 4.0).reshape(-1))
-    found = Newton(tolerance=1e-16).solve(equations, GUESS, SIZE, ROTATES, solver, solver.memory(Newton()))
+    found, _ = Newton(tolerance=1e-16).solve(equations, GUESS, SIZE, ROTATES, solver, solver.memory(Newton()))
     assert int(found.result) == SUCCESSFUL and int(found.iterations) < 20
     np.testing.assert_allclose(found.free, root(4.0), atol=1e-10)
 
@@ -110,8 +110,8 @@ def test_a_step_whose_kept_factorization_is_poor_ends_with_its_own():
         equations = problem(lambda u: residual(u, load))
         return Newton().solve(equations, guess, SIZE, ROTATES, solver, memory)
 
-    before = after(solver.memory(Newton()), 1e3, jnp.asarray(root(1e3)) + 0.01)
-    found = after(before.memory, 4.0, GUESS)
+    _, memory = after(solver.memory(Newton()), 1e3, jnp.asarray(root(1e3)) + 0.01)
+    found, _ = after(memory, 4.0, GUESS)
     assert int(found.result) == SUCCESSFUL and 0 < int(found.factorizations) <= 4
     np.testing.assert_allclose(found.free, root(4.0), atol=1e-10)
 
@@ -139,7 +139,7 @@ def test_failures_are_results_with_finite_numbers(function, result):
 
     @jax.jit
     def run(guess):
-        return newton.solve(problem(function), guess, SIZE, ROTATES, handle, handle.memory(newton))
+        return newton.solve(problem(function), guess, SIZE, ROTATES, handle, handle.memory(newton))[0]
 
     found = run(GUESS)
     assert int(found.result) == result

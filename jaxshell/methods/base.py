@@ -18,7 +18,7 @@ from jaxshell.batching import one_by_one
 from jaxshell.gradients import keep
 from jaxshell.methods.predictor import extrapolate
 from jaxshell.model import Model
-from jaxshell.newton import Linear, Newton, Problem, Solved, attach_derivative
+from jaxshell.newton import Linear, Memory, Newton, Problem, attach_derivative
 from jaxshell.rotations import H_inverse, exp
 
 
@@ -190,11 +190,12 @@ class ImplicitMethod(Method):
     def step(self, model, state, dt, solvers, memory):
         # The iteration is outside differentiation; its result then gets the derivative of the equations solved.
         fixed = jax.lax.stop_gradient((self, model, state, dt))
-        solved = keep(one_by_one(_converge, *fixed, solvers, memory))
+        solved, memory = one_by_one(_converge, memory, *fixed, solvers)
+        solved = keep(solved)
         begun, held, problem = _problem(self, model, state, dt, solvers)
         u = self._differentiable(model, state, begun, held, problem, solved, solvers)
         info = StepInfo(solved.result, solved.iterations, solved.factorizations, solved.correction)
-        return self.finish(model, state, dt, u, self.motion(state, u), begun), info, solved.memory
+        return self.finish(model, state, dt, u, self.motion(state, u), begun), info, memory
 
     def unbalanced(self, model, before, after, dt):
         return self.balance(model, before, self.begin(model, before, dt), dt * after.rates[0]).residual
@@ -214,10 +215,8 @@ class ImplicitMethod(Method):
         return model.expand(free, held)
 
 
-def _converge(method: ImplicitMethod, model: Model, state, dt, solvers: Solvers, memory, mapped: bool) -> Solved:
-    """Newton's iteration of one step. In a batch the factorization that was kept is another member's."""
-    if mapped:
-        memory = eqx.tree_at(lambda memory: memory.stale, memory, jnp.array(True))
+def _converge(memory: Memory, method: ImplicitMethod, model: Model, state, dt, solvers: Solvers):
+    """Newton's iteration of one step: (Solved, Memory). In a batch the factorization kept is another member's."""
     _, _, problem = _problem(method, model, state, dt, solvers)
     guess = model.free(method.predict(model, state, dt))
     return solvers.newton.solve(problem, guess, *_scales(model), solvers.linear, memory)
