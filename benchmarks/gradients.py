@@ -8,6 +8,7 @@ Wall time and processor time, each the smallest of a few repetitions, compilatio
 docs/gradients.md. Needs a quiet machine with two cores; some ten minutes.
 """
 
+import functools
 import os
 import subprocess
 import sys
@@ -30,16 +31,16 @@ from jaxshell.gradients import Checkpointed, Stored  # noqa: E402
 METHODS = {"EMC": js.GeneralizedEnergyMomentum(), "EnergyMomentum": js.EnergyMomentum()}
 
 
-def best(function, *arguments, repeat=3):
-    """(result, wall time, processor time), the first call left out."""
-    result = jax.block_until_ready(function(*arguments))
-    walls, processor = [], []
-    for _ in range(repeat):
-        wall, cpu = time.perf_counter(), time.process_time()
-        result = jax.block_until_ready(function(*arguments))
-        walls.append(time.perf_counter() - wall)
-        processor.append(time.process_time() - cpu)
-    return result, min(walls), min(processor)
+def best(*functions, repeat=3):
+    """(result, wall time, processor time) of each, called in turn, so that noise falls on all; first calls left out."""
+    results = [jax.block_until_ready(function()) for function in functions]
+    times = np.empty((repeat, len(functions), 2))
+    for k in range(repeat):
+        for i, function in enumerate(functions):
+            wall, cpu = time.perf_counter(), time.process_time()
+            jax.block_until_ready(function())
+            times[k, i] = time.perf_counter() - wall, time.process_time() - cpu
+    return [(result, *least) for result, least in zip(results, times.min(axis=0), strict=True)]
 
 
 def deflection(scene, method, dt, steps, gradients=None):
@@ -61,21 +62,18 @@ def gradient(steps=500):
     thickness = jnp.full(cap.mesh.n_elements, 0.4)
     print(f"{cap.mesh.n_elements} thicknesses of the opened cap, {steps} steps")
     for name, method in METHODS.items():
-        plain = {}
-        for reuse in (True, False):
-            run, wall, cpu = best(
-                lambda reuse=reuse, method=method: js.simulate(
-                    cap, method, dt=0.01, t_end=0.01 * steps, save_every=steps, newton=js.Newton(reuse=reuse)
-                )
-            )
-            plain[reuse] = (run, wall, cpu)
-        run = plain[True][0]
         both = jax.jit(jax.value_and_grad(deflection(cap, method, 0.01, steps)))
-        (value, found), wall, cpu = best(both, thickness)
-        assert abs(value / run.watched["A"][-1] - 1) < 1e-5 and np.all(np.isfinite(found))
+
+        def plain(reuse, method=method):
+            newton = js.Newton(reuse=reuse)
+            return js.simulate(cap, method, dt=0.01, t_end=0.01 * steps, save_every=steps, newton=newton)
+
+        (((value, found), wall, cpu), *runs) = best(
+            functools.partial(both, thickness), functools.partial(plain, True), functools.partial(plain, False)
+        )
+        assert abs(value / runs[0][0].watched["A"][-1] - 1) < 1e-5 and np.all(np.isfinite(found))
         print(f"{name:16s} value and gradient {wall:6.2f} s ({cpu:.2f})", flush=True)
-        for reuse, label in ((True, "factorizations kept"), (False, "full Newton")):
-            run, plain_wall, plain_cpu = plain[reuse]
+        for label, (run, plain_wall, plain_cpu) in zip(("factorizations kept", "full Newton"), runs, strict=True):
             print(
                 f"   against a plain run, {label}: {plain_wall:6.2f} s ({plain_cpu:.2f}), "
                 f"{float(run.iterations[1:].mean()):4.2f} iterations and "
@@ -99,7 +97,7 @@ def memory(steps=400):
         for name, strategy in strategies.items():
             value = deflection(cap, METHODS["EMC"], 0.01, steps, strategy)
             both = jax.jit(jax.value_and_grad(value)).lower(thickness).compile()
-            _, wall, cpu = best(both, thickness, repeat=2)
+            [(_, wall, cpu)] = best(functools.partial(both, thickness), repeat=2)
             megabytes = both.memory_analysis().temp_size_in_bytes / 1e6
             print(f"  {name:24s} {wall:6.2f} s ({cpu:.2f})   {megabytes:7.1f} MB", flush=True)
 
@@ -117,17 +115,18 @@ def batch(steps=100, count=32):
         spec = jax.sharding.PartitionSpec("runs")
         mesh = jax.sharding.Mesh(np.array(jax.devices()), ("runs",))
         spread = jax.shard_map(jax.vmap(apex), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
-        _, wall, cpu = best(jax.jit(spread), loads)
+        [(_, wall, cpu)] = best(functools.partial(jax.jit(spread), loads))
         print(f"  jax.shard_map over {jax.device_count()} devices {wall:6.2f} s ({cpu:.2f})", flush=True)
         return
     print(f"{count} loads on the cap of {cap.mesh.n_elements} elements, {steps} steps")
     one, together = jax.jit(apex), jax.jit(jax.vmap(apex))
-    loop, wall, cpu = best(lambda: jnp.stack([one(load) for load in loads]))
+    (loop, wall, cpu), (found, wall_together, cpu_together) = best(
+        lambda: jnp.stack([one(load) for load in loads]), functools.partial(together, loads)
+    )
     print(f"  loop of compiled runs      {wall:6.2f} s ({cpu:.2f})", flush=True)
-    found, wall, cpu = best(together, loads)
     # They iterate differently, to an error of 1e-8 of the shell's size in a step.
     np.testing.assert_allclose(found, loop, rtol=0, atol=1e-8 * np.linalg.norm(np.ptp(cap.mesh.nodes, axis=0)))
-    print(f"  jax.vmap                   {wall:6.2f} s ({cpu:.2f})", flush=True)
+    print(f"  jax.vmap                   {wall_together:6.2f} s ({cpu_together:.2f})", flush=True)
     subprocess.run([sys.executable, __file__, "batch", "devices"], check=True)
 
 
