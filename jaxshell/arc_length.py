@@ -44,6 +44,9 @@ _CUTS = 10
 _WANTED_ITERATIONS = 6
 """Steps grow where the iteration takes fewer and shrink where it takes more."""
 _GIVE_UP = 1e3
+_STRAIGHT = 0.8
+"""Cosine of the angle between two steps below which the second is halved: where the path turns back sharply, a long
+step may land on the part that it came from, and go back along it."""
 
 
 def solve_arc_length(
@@ -67,7 +70,7 @@ def solve_arc_length(
 
     Arguments:
         arc_length: the longest step, as the root mean square of the nodes' displacements [length]. Steps are
-            shortened where the iteration gets slow, and halved where it fails.
+            shortened where the iteration gets slow, and halved where it fails or the path bends by more than 37°.
         steps: the largest number of steps.
         max_load_factor: the path ends with the first step at or beyond this load factor, in size.
         tangent, newton, linear_solver, save_every, throw, progress, output: as in `solve_static`.
@@ -201,7 +204,8 @@ def _driven(
                 )
                 code = int(code)
                 spent += int(record.iterations)
-                if code == SUCCESSFUL or length / 2 < arc_length / 2**_CUTS:
+                shortest = length / 2 < arc_length / 2**_CUTS
+                if shortest or (code == SUCCESSFUL and (position == 0 or _cosine(moved, previous) > _STRAIGHT)):
                     break
                 length /= 2
             if code != SUCCESSFUL:
@@ -217,6 +221,11 @@ def _driven(
             length = min(length, float(arc_length))
         stats = log.finish(code, message, time.perf_counter() - begun)
     return log.solution(state, code, message, stats)
+
+
+def _cosine(step, previous) -> float:
+    """Of the angle between two steps of the path."""
+    return float(jnp.sum(step * previous) / (jnp.linalg.norm(step) * jnp.linalg.norm(previous)))
 
 
 def _message(code: int, position: int, at: float, length: float) -> str:

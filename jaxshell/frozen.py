@@ -33,5 +33,9 @@ class Frozen:
             isinstance(other, Frozen) and self._hash == other._hash and self._key == other._key
         )
 
+    def __array__(self, dtype=None, copy=None) -> np.ndarray:
+        """What `np.asarray` gives; a copy where the type asked for is another."""
+        return np.array(self.array, dtype=dtype, copy=copy)
+
     def __repr__(self) -> str:
         return f"Frozen(shape={self.array.shape})"

@@ -80,7 +80,8 @@ class Scene(eqx.Module):
         mesh, section: the shell. supports, loads: sequences, possibly empty.
         initial: the state at the start; None is rest.
         name: for files and pictures.
-        watch: {label: (node, component)}, component out of ux, uy, uz, vx, vy, vz; kept at every step.
+        watch: {label: (node, component)}, component out of ux, uy, uz, vx, vy, vz; kept at every step. Or the same as
+            (label, node, component), as a scene has it: so `dataclasses.replace` makes a scene that differs in a part.
         defaults: suggested time step, duration and methods (used by the command line only).
 
     Units are the user's, consistently. Raises ValueError for loads and supports on nodes that do not
@@ -104,7 +105,7 @@ class Scene(eqx.Module):
         loads: Sequence[Load] = (),
         initial: Initial | None = None,
         name: str = "scene",
-        watch: Mapping[str, tuple[int, str]] | None = None,
+        watch: Mapping[str, tuple[int, str]] | Sequence[tuple[str, int, str]] | None = None,
         defaults: Defaults | None = None,
     ):
         self.mesh = mesh
@@ -113,7 +114,9 @@ class Scene(eqx.Module):
         self.loads = (loads,) if isinstance(loads, Load) else tuple(loads)
         self.initial = initial
         self.name = name
-        self.watch = tuple((label, int(node), component) for label, (node, component) in (watch or {}).items())
+        if isinstance(watch, Mapping):
+            watch = [(label, *what) for label, what in watch.items()]
+        self.watch = tuple((label, int(node), component) for label, node, component in watch or ())
         self.defaults = defaults
 
     def __check_init__(self):

@@ -1,5 +1,7 @@
 """Meshes, sections, supports, loads and scenes: what they hold, select and sum up to."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -138,6 +140,21 @@ def test_a_scene_is_a_pytree_of_its_floats():
     # Structure is static and hashable, so that an equal scene compiles nothing anew.
     again = jax.tree.structure(js.scenes.spherical_cap(divisions=2))
     assert jax.tree.structure(scene) == again and hash(again) == hash(jax.tree.structure(scene))
+
+
+def test_scenes_and_their_parts_can_be_replaced():
+    """dataclasses.replace gives back to every __init__ what the object holds."""
+    history = js.History.ramp(1.0)
+    support = js.Support([0, 3], ("ux", "uy"), displacement=[1.0, 2.0], history=history)
+    loads = (js.NodalForce([1], [0.0, 0.0, 1.0]), js.NodalMoment([1], [1.0, 0.0, 0.0]), js.EdgeForce([[1, 2]], [1.0, 0, 0]))
+    cap = js.scenes.spherical_cap(4)
+    for part in (support, *loads, js.Gravity([0.0, 0.0, -9.81]), js.Pressure(2.0, history), cap):
+        same = dataclasses.replace(part)
+        assert jax.tree.structure(same) == jax.tree.structure(part)
+        assert all(np.array_equal(a, b) for a, b in zip(jax.tree.leaves(same), jax.tree.leaves(part), strict=True))
+    other = dataclasses.replace(cap, loads=(), watch={"rim": (3, "ux")})
+    assert other.loads == () and other.watch == (("rim", 3, "ux"),) and other.mesh is cap.mesh
+
 
 
 def test_the_papers_scenes():
