@@ -5,14 +5,21 @@ by the keyboard. JAX and matplotlib are imported when a command needs them, and 
 """
 
 import argparse
-import dataclasses
 import itertools
 import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-_RESULT_FILES = (".h5", ".hdf5")
+from jaxshell.run_settings import (
+    chosen_methods,
+    chosen_newton,
+    open_scene,
+    solution_to_go_on_from,
+    step_control,
+    wanted,
+    what_is_left,
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -78,6 +85,12 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--output", type=Path, default=Path("."), metavar="DIR", help="where files go (default: here)"
     )
+    run.add_argument(
+        "--continue",
+        dest="go_on",
+        action="store_true",
+        help="go on from the end of a result file, to the end it was to have or for --t-end more",
+    )
     run.add_argument("--no-plots", action="store_true", help="write the results only")
     run.add_argument("--quiet", action="store_true", help="print errors only")
 
@@ -127,35 +140,21 @@ class _Version(argparse.Action):
 
 def _run(options: argparse.Namespace) -> int:
     _prepare_jax()
-    from jaxshell.method_names import choose_methods, method_label, parse_method
     from jaxshell.report import describe_run, describe_scene
     from jaxshell.simulation import simulate
     from jaxshell.solution import RESULTS
-    from jaxshell.step_control import StepControl
 
-    scene, settings, stem = _open_scene(options.scene, options.divisions)
-    names = options.method or settings.get("method", [])
-    names = [names] if isinstance(names, str) else names
-    given = [getattr(options, key) for key in ("spectral_radius", "dissipation")]
-    if "quoted_method" in settings and options.method is None and given == [None, None]:
-        method = parse_method(settings["quoted_method"])
-        methods = {method_label(method, scene): method}
-    else:
-        own = (
-            [None, None]
-            if options.method
-            else [settings.get(key) for key in ("spectral_radius", "dissipation")]
-        )
-        given = [mine if mine is not None else file for mine, file in zip(given, own, strict=True)]
-        methods = choose_methods(scene, names, *given)
-    dt, t_end = (_wanted(options, settings, scene, key) for key in ("dt", "t_end"))
-    save_every = _wanted(options, settings, scene, "save_every")
-    step_tolerance = options.step_tolerance or settings.get("step_tolerance")
-    if step_tolerance is not None:
-        dt = StepControl(step_tolerance, initial=dt)
+    scene, settings, stem = open_scene(options.scene, options.divisions)
+    restart = None
+    if options.go_on:
+        restart, stem = solution_to_go_on_from(options), f"{Path(options.scene).stem}_continued"
+    methods = chosen_methods(options, settings, scene)
+    dt, t_end, save_every = (wanted(options, settings, scene, key) for key in ("dt", "t_end", "save_every"))
+    if restart is not None and options.t_end is None:
+        t_end = what_is_left(restart, t_end)
+    dt = step_control(options, settings, dt) or dt
     tangent = options.tangent or settings.get("tangent", "closed_form")
-    methods = {label: _with_inertia(label, method, options, settings) for label, method in methods.items()}
-    newton = _newton(options, settings)
+    newton = chosen_newton(options, settings)
 
     options.output.mkdir(parents=True, exist_ok=True)
     say = (lambda *_: None) if options.quiet else print
@@ -172,12 +171,18 @@ def _run(options: argparse.Namespace) -> int:
                 save_every=save_every,
                 tangent=tangent,
                 newton=newton,
+                reactions=settings.get("reactions", False),
+                restart=restart,
                 throw=False,
                 progress=sys.stderr.isatty() and not options.quiet,
                 output=path,
             )
         except KeyboardInterrupt:
-            print(f"jaxshell: stopped; {path} holds what was computed until then.", file=sys.stderr)
+            print(
+                f"jaxshell: stopped; {path} holds what was computed until then. "
+                f"`jaxshell run {path} --continue` goes on with it.",
+                file=sys.stderr,
+            )
             return 130
         solutions[label] = solution
         say(describe_run(label, solution, path))
@@ -223,8 +228,8 @@ def _chart(options: argparse.Namespace) -> int:
     from jaxshell.chart import chart, default_window, draw, mesh_points, write_points
     from jaxshell.scenes import PAPER
 
-    scene, settings, stem = _open_scene(options.scene)
-    dt = _wanted(options, settings, scene, "dt")
+    scene, settings, stem = open_scene(options.scene)
+    dt = wanted(options, settings, scene, "dt")
     options.output.mkdir(parents=True, exist_ok=True)
     say = (lambda *_: None) if options.quiet else lambda text: print(text, flush=True)
     points, reference = chart(scene, dt, default_window(scene, dt, options.t_end), say=say)
@@ -243,8 +248,8 @@ def _advise(options: argparse.Namespace) -> int:
     from jaxshell.advise import advise
     from jaxshell.scenes import PAPER
 
-    scene, settings, _ = _open_scene(options.scene)
-    dt = _wanted(options, settings, scene, "dt")
+    scene, settings, _ = open_scene(options.scene)
+    dt = wanted(options, settings, scene, "dt")
     say = (lambda *_: None) if options.quiet else lambda text: print(text, flush=True)
     advice = advise(scene, options.tolerance, dt, options.t_end, say, make=PAPER.get(options.scene))
     print(describe(scene, advice))
@@ -280,79 +285,6 @@ def _prepare_jax() -> None:
         home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(home / "jaxshell"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
-
-
-def _open_scene(name: str, divisions: Sequence[int] | None = None):
-    """(scene, [run] settings, stem of files to write) of a scene's name, a scene file or a result file."""
-    from jaxshell.scenes import PAPER
-
-    path = Path(name)
-    if name in PAPER and divisions is not None:
-        return PAPER[name](divisions=_counts(name, divisions)), {}, name
-    if name in PAPER:
-        return PAPER[name](), {}, name
-    if divisions is not None:
-        raise ValueError(f"--divisions is for the library's scenes ({', '.join(PAPER)}), not for files: {name!r}.")
-    if path.suffix == ".toml":
-        from jaxshell.scene_file import read_scene_file
-
-        return *read_scene_file(path), path.stem
-    if path.suffix in _RESULT_FILES:
-        from jaxshell.storage import read_scene, read_settings
-
-        settings = read_settings(path)
-        settings["quoted_method"] = settings.pop("method", "")
-        # Under another name, so that the results that are run again stay.
-        return read_scene(path), settings, f"{path.stem}_rerun"
-    raise ValueError(
-        f"There is no scene {name!r}. Choose out of {', '.join(PAPER)}, or name a .toml scene file "
-        "or an .h5 result file."
-    )
-
-
-def _counts(name: str, divisions: Sequence[int]):
-    """Divisions as the scene's function wants them: one number, or as many as its default has."""
-    from jaxshell.scenes import PAPER, default_divisions
-
-    default = default_divisions(PAPER[name])
-    wanted = len(default) if isinstance(default, tuple) else 1
-    if len(divisions) != wanted:
-        raise ValueError(f"The scene {name!r} takes {wanted} divisions, but {len(divisions)} are given.")
-    return tuple(divisions) if wanted > 1 else divisions[0]
-
-
-def _wanted(options: argparse.Namespace, settings: dict, scene, key: str):
-    """A setting: from the command line, else from the file, else the scene's default."""
-    for value in (getattr(options, key), settings.get(key), getattr(scene.defaults, key, None)):
-        if value is not None:
-            return value
-    if key == "save_every":
-        return 1
-    raise ValueError(
-        f"The scene gives no {key}: add --{key.replace('_', '-')}, or {key} in the file's [run]."
-    )
-
-
-def _with_inertia(label: str, method, options: argparse.Namespace, settings: dict):
-    form = options.inertia or settings.get("inertia")
-    if form is None:
-        return method
-    if not hasattr(method, "inertia"):
-        raise ValueError(f"The method {label!r} has no choice of inertia.")
-    return dataclasses.replace(method, inertia=form)
-
-
-def _newton(options: argparse.Namespace, settings: dict):
-    from jaxshell.newton import Newton
-
-    named = {"tolerance": "newton_tolerance", "reuse": "newton_reuse"}
-    given = {
-        name: value
-        for name, key in named.items()
-        if (value := getattr(options, key) if getattr(options, key) is not None else settings.get(key))
-        is not None
-    }
-    return Newton(**given)
 
 
 def _file_part(label: str) -> str:

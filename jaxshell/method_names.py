@@ -5,12 +5,12 @@ spectral radius ρ∞ and dissipation ξ that the scene gives them; "exact" is `
 method goes by its class's name.
 """
 
-import ast
 import inspect
 from collections.abc import Sequence
 from typing import Any
 
 from jaxshell import methods
+from jaxshell.quoted import unquote
 from jaxshell.scene import Scene
 
 _PAPER_CLASS: Any = methods.GeneralizedEnergyMomentum
@@ -75,18 +75,7 @@ def parse_method(text: str) -> methods.Method:
 
     Raises ValueError for anything else.
     """
-    try:
-        call = ast.parse(text, mode="eval").body
-        assert isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and not call.args
-        kind = {method.__name__: method for method in _classes().values()}[call.func.id]
-        # The text quotes names without quotation marks.
-        values = {
-            str(k.arg): k.value.id if isinstance(k.value, ast.Name) else ast.literal_eval(k.value)
-            for k in call.keywords
-        }
-        return kind(**values)
-    except (SyntaxError, AssertionError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"The method {text!r} is not one of this version of jaxshell.") from error
+    return unquote(text, {method.__name__: method for method in _classes().values()})
 
 
 def _named(scene: Scene) -> dict[str, tuple[str, float, float]]:

@@ -26,6 +26,8 @@ from jaxshell.model import structure_of
 from jaxshell.newton import SUCCESSFUL, Newton
 from jaxshell.program import Carry, Choices, Frame, Record
 from jaxshell.progress import Progress
+from jaxshell.quoted import quote
+from jaxshell.restart import restored
 from jaxshell.scene import Scene
 from jaxshell.solution import RESULTS, Energy, Momentum, Solution, Stats
 from jaxshell.step_control import StepControl
@@ -84,7 +86,7 @@ def simulate(
             runs; with throw=False everything after the failure is NaN, gradients included.
         progress: show a progress bar.
         output: path of an HDF5 file that receives the results as they come.
-        restart: a solution of the same scene and method to go on from.
+        restart: a solution of the same scene and method to go on from, also one read from a file.
 
     Returns a `Solution`. Raises ValueError for bad input and RuntimeError when float64 is off, both before
     anything is compiled.
@@ -153,19 +155,19 @@ def _driven_run(run: Run, steps, output, bar, restart) -> Solution:
     first_chunk, counts, bar.start = 0.0, {}, start
     settings = _settings(run, steps, start)
     with _writer(output, run.scene, settings, settings["reactions"]) as writer:
-        _append(writer, run.scene, records[0], frames[0])
+        _append(writer, run.scene, records[0], frames[0], carry.state)
         for carry, record, frame, dt, counts in chunks:
             records.append(record)
             frames.append(frame)
-            _append(writer, run.scene, record, frame)
+            _append(writer, run.scene, record, frame, carry.state)
             first_chunk = first_chunk or time.perf_counter() - begun
             bar.advance(record)
         record, frame = (jax.tree.map(lambda *a: np.concatenate(a), *parts) for parts in (records, frames))
         code, taken = int(carry.result), record.time.size - 1
         message = _message(code, taken, record.time[-1], dt)
         stats = Stats(
-            method=repr_of(run.method),
-            newton=repr_of(run.newton),
+            method=quote(_plain(run.method)),
+            newton=quote(run.newton),
             linear_solver=type(run.choices.linear_solver).__name__,
             tangent=run.choices.tangent,
             steps=taken,
@@ -224,12 +226,12 @@ def _settings(run: Run, steps, start) -> dict:
     """What a result file says about how the run was made, enough to make it again."""
     controlled = isinstance(steps, Controlled)
     return {
-        "method": repr_of(run.method),
-        "newton": repr_of(run.newton),
+        "method": quote(_plain(run.method)),
+        "newton": quote(run.newton),
         "tangent": run.choices.tangent,
         "save_every": run.choices.save_every,
         "reactions": isinstance(run.method, WithReactions),
-        "dt": repr_of(steps.control) if controlled else float(steps[0]),
+        "dt": quote(steps.control) if controlled else float(steps[0]),
         "t_end": float(start + (steps.stops[-1] if controlled else np.sum(steps))),
     }
 
@@ -273,10 +275,8 @@ def _raise_on_failure(solution: Solution) -> Solution:
 def _resume(model, run: Run, carry: Carry, record, frame, restart: Solution | None):
     if restart is None:
         return carry, record, frame, 0.0
-    if jax.tree.structure(restart.state) != jax.tree.structure(carry.state):
-        raise ValueError("restart must be a solution of the same scene, method and reactions, with its final state.")
-    carry = carry._replace(state=restart.state)
-    return carry, *program.first(model, run.method, carry.state, run.choices), float(restart.times[-1])
+    carry = carry._replace(state=restored(restart.state, carry.state))
+    return carry, *program.first(model, run.method, carry.state, run.choices), float(carry.state.time)
 
 
 def _solution(scene, record: Record, frame: Frame, state, result, message, stats, convert) -> Solution:
@@ -301,11 +301,11 @@ def _solution(scene, record: Record, frame: Frame, state, result, message, stats
     )
 
 
-def _append(writer, scene: Scene, record: Record, frame: Frame) -> None:
-    """Hand a chunk to the result file, if there is one."""
+def _append(writer, scene: Scene, record: Record, frame: Frame, state=None) -> None:
+    """Hand a chunk, and the state at its end, to the result file, if there is one."""
     if writer is None:
         return
-    solution = _solution(scene, record, frame, None, RESULTS.successful, "", Stats(), np.asarray)
+    solution = _solution(scene, record, frame, state, RESULTS.successful, "", Stats(), np.asarray)
     writer.append(
         solution.times,
         solution.watched,
@@ -317,6 +317,7 @@ def _append(writer, scene: Scene, record: Record, frame: Frame) -> None:
         solution.rotations,
         solution.velocities,
         solution.reaction,
+        solution.state,
     )
 
 
@@ -334,12 +335,8 @@ def _message(code: int, taken: int, at, dt) -> str:
     return f"Step {taken + 1}, from t = {at:.6g} with dt = {float(dt):.3g}: {RESULTS[_results()[code]]}"
 
 
-def repr_of(module) -> str:
-    """Name and arguments of a method or of Newton, floats as numbers: what a file and the stats quote."""
-    module = module.method if isinstance(module, WithReactions) else module
-    values = (f"{name}={value!r}" if isinstance(value, float) else f"{name}={value}" for name, value in
-              ((name, float(v) if isinstance(v, jax.Array) else v) for name, v in vars(module).items()))
-    return f"{type(module).__name__}({', '.join(values)})"
+def _plain(method: Method) -> Method:
+    return method.method if isinstance(method, WithReactions) else method
 
 
 def _expand(tree):

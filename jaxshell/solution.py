@@ -82,7 +82,7 @@ class Solution(eqx.Module):
     stats: "Stats" = eqx.field(static=True)
     """Host-side figures: method and its parameters, wall time, steps, iterations, factorizations, solver, ..."""
     state: Any = None
-    """The method's state at the end, from which `simulate(restart=...)` goes on; not kept in files."""
+    """The method's state at the end, from which `simulate(restart=...)` goes on. Of a file, a dict of its arrays."""
     reaction: Float[jax.Array, "k nh"] | None = None
     """Of a run with reactions=True: what the supports carry at the held freedoms [force, force·length], which
     `jaxshell.reactions` sorts by nodes."""

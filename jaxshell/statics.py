@@ -29,6 +29,7 @@ from jaxshell.model import Model, structure_of
 from jaxshell.newton import SUCCESSFUL, Linear, Newton
 from jaxshell.program import Choices
 from jaxshell.progress import Progress
+from jaxshell.quoted import quote
 from jaxshell.scene import Scene
 from jaxshell.simulation import (
     _RESULT_NAMES,
@@ -42,7 +43,6 @@ from jaxshell.simulation import (
     _solution,
     _traced_run,
     _writer,
-    repr_of,
 )
 from jaxshell.solution import RESULTS, Solution, Stats
 
@@ -190,8 +190,8 @@ class Log:
         self.method = method
         self.records, self.frames = [_expand(record)], [_expand(frame)]
         settings = {
-            "method": repr_of(method),
-            "newton": repr_of(newton),
+            "method": quote(method),
+            "newton": quote(newton),
             "tangent": choices.tangent,
             "save_every": save_every,
         }
@@ -221,8 +221,8 @@ class Log:
     def finish(self, code: int, message: str, wall_time: float) -> Stats:
         """Figures of the run, also for the file."""
         stats = Stats(
-            method=repr_of(self.method),
-            newton=repr_of(self.newton),
+            method=quote(self.method),
+            newton=quote(self.newton),
             linear_solver=type(self.choices.linear_solver).__name__,
             tangent=self.choices.tangent,
             steps=len(self.records) - 1,

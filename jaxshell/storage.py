@@ -9,6 +9,7 @@ Layout (schema 1), every float in double precision, units those of the scene:
     /histories   times (k,), iterations (k,), watched/<label> (k,), momentum/{linear, angular} (k, 3),
                  energy/{kinetic, strain, external_work, dissipated} (k,); reaction (k, nh) where it was recorded
     /frames      times (f,), displacements (f, n, 3), velocities (f, n, 3), rotations (f, n, 4)
+    /state       of a run in time, what its method needs to go on from the last step, an array per name
 
 Rotations are unit quaternions (w, x, y, z), 4 numbers in place of 9; a rotation matrix comes back to 1e-15.
 Files grow chunk by chunk while a run goes on, and what has been written stays readable when it is killed.
@@ -29,6 +30,7 @@ from jaxshell.checks import require_float64
 from jaxshell.frozen import Frozen
 from jaxshell.loads import History, Load
 from jaxshell.mesh import Mesh
+from jaxshell.restart import named
 from jaxshell.scene import Defaults, Initial, Scene
 from jaxshell.section import Section
 from jaxshell.solution import RESULTS, Energy, Momentum, Solution, Stats
@@ -76,10 +78,10 @@ class ResultWriter:
 
     def append(
         self, times, watched, energy, momentum, iterations, frame_times, displacements, rotations, velocities,
-        reaction=None,
+        reaction=None, state=None,
     ) -> None:  # fmt: skip
         """Add k steps and f frames, shaped as in `Solution`: `watched` a dict of (k,), `energy` an Energy,
-        `momentum` a Momentum, rotations (f, n, 3, 3). Either may be none (k or f = 0)."""
+        `momentum` a Momentum, rotations (f, n, 3, 3). Either may be none (k or f = 0). `state` replaces the last."""
         histories, frames = self._file["histories"], self._file["frames"]
         # Frames first: a run killed between the two then never has a step without its frame.
         _extend(frames["displacements"], displacements)
@@ -96,6 +98,9 @@ class ResultWriter:
             _extend(histories["reaction"], reaction)
         _extend(histories["iterations"], iterations)
         _extend(histories["times"], times)
+        for name, array in {} if state is None else named(state).items():
+            dataset = self._file.require_dataset(f"state/{name}", np.shape(array), np.asarray(array).dtype)
+            dataset[...] = np.asarray(array)
         self._file.flush()
 
     def finish(self, result: str, message: str, stats: dict) -> None:
@@ -135,6 +140,7 @@ def save_solution(solution: Solution, path) -> None:
             solution.rotations,
             solution.velocities,
             solution.reaction,
+            solution.state,
         )
         writer.finish(result_name(solution.result), solution.message, solution.stats)
 
@@ -181,6 +187,7 @@ def load_solution(path) -> Solution:
                 result=result,
                 message=message,
                 stats=stats,
+                state={name: jnp.asarray(d[()]) for name, d in file["state"].items()} if "state" in file else None,
                 reaction=jnp.asarray(single["reaction"][:k]) if "reaction" in single else None,
             )
         except (KeyError, OSError, AttributeError, json.JSONDecodeError) as error:

@@ -133,9 +133,14 @@ def test_results_go_to_disk_as_they_come(whole, scene, tmp_path):
     np.testing.assert_array_equal(loaded.watched["apex"], whole.watched["apex"])
     np.testing.assert_array_equal(loaded.energy.total, whole.energy.total)
     assert loaded.result == js.RESULTS.successful and loaded.scene.name == scene.name
-    # Files do not keep a method's state.
+    # The file keeps the method's state; another method cannot go on with it.
+    ahead, behind = (js.simulate(scene, EMC, dt=DT, t_end=4 * DT, newton=TIGHT, restart=r) for r in (returned, loaded))
+    np.testing.assert_array_equal(ahead.displacements, behind.displacements)
+    loaded.save(tmp_path / "again.h5")
+    again = js.Solution.load(tmp_path / "again.h5").state
+    assert all(np.array_equal(again[name], array) for name, array in loaded.state.items())
     with pytest.raises(ValueError, match=r"restart must be a solution .* with its final state"):
-        js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, restart=loaded)
+        js.simulate(scene, js.EnergyMomentum(), dt=DT, t_end=STEPS * DT, restart=loaded)
 
 
 # --- failure ----------------------------------------------------------------------------------------------
