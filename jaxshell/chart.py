@@ -302,8 +302,13 @@ def draw(title: str, points: Sequence[Point], peers: Sequence[Point] = (), floor
         front = pareto(points)
         for axes in third:
             _line(axes, meshes, COLOURS[0], "-", "o", "EMC")
-            for point in meshes:
-                axes.annotate(point.label, (point.seconds, point.error), (4, 4), textcoords="offset points", fontsize=7)
+            for k, point in enumerate(meshes):
+                # Above and below in turn: coarse meshes cost about the same.
+                away, side = (6, "bottom") if k % 2 == 0 else (-6, "top")
+                axes.annotate(
+                    point.label, (point.seconds, point.error), (0, away), textcoords="offset points",
+                    fontsize=7, ha="center", va=side,
+                )  # fmt: skip
             axes.set(title="Meshes, against the finest", xlabel="Time of the run in s")
         for axes in (left, right):
             axes.plot(
