@@ -35,6 +35,8 @@ _MARGIN = 0.8
 """Part of the tolerance that a configuration may use: the reference and the window are not everything."""
 _FINEST = 7
 """Halvings of the step tried for a method before it is given up."""
+_FEWEST = 8
+"""Steps that a trial has at least, where steps are doubled: fewer show little of the motion."""
 
 
 def advise(
@@ -133,7 +135,8 @@ class _Search:
                 return
         point = self.attempt(Configuration("method", label, method, dt))
         if point.error <= self.goal:
-            while not isinstance(method, methods.CentralDifference):
+            largest = float(self.reference.times[-1]) / _FEWEST
+            while not isinstance(method, methods.CentralDifference) and 2.0 * dt <= largest * (1 + 1e-9):
                 dt *= 2.0
                 if self.attempt(Configuration("method", label, method, dt)).error > self.goal:
                     return
@@ -216,6 +219,9 @@ class _Search:
         elif larger:
             nearest = min(larger, key=lambda p: p.dt)
             reasons.append(f"dt = {nearest.dt:.3g} would miss: error {nearest.error:.1e}")
+        else:
+            steps = float(self.reference.times[-1]) / point.dt
+            reasons.append(f"larger steps were not tried: the trial has {steps:.0f} of these (--t-end makes it longer)")
         for label in dict.fromkeys(p.label for p in self.points):
             meeting = [p for p in self.points if p.label == label and p.error <= self.goal]
             if label != point.label and meeting:

@@ -302,14 +302,12 @@ def draw(title: str, points: Sequence[Point], peers: Sequence[Point] = (), floor
         front = pareto(points)
         for axes in third:
             _line(axes, meshes, COLOURS[0], "-", "o", "EMC")
-            for k, point in enumerate(meshes):
-                # Above and below in turn: coarse meshes cost about the same.
-                away, side = (6, "bottom") if k % 2 == 0 else (-6, "top")
+            for point in meshes:
                 axes.annotate(
-                    point.label, (point.seconds, point.error), (0, away), textcoords="offset points",
-                    fontsize=7, ha="center", va=side,
+                    point.label.split()[0], (point.seconds, point.error), (0, 6), textcoords="offset points",
+                    fontsize=7, ha="center",
                 )  # fmt: skip
-            axes.set(title="Meshes, against the finest", xlabel="Time of the run in s")
+            axes.set(title="Triangles, against the finest mesh", xlabel="Time of the run in s")
         for axes in (left, right):
             axes.plot(
                 [p.seconds for p in front], [p.error for p in front], color="0.8", linewidth=6, zorder=0,

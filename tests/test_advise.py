@@ -144,7 +144,7 @@ def test_meshes_are_compared_with_the_finest(monkeypatch):
     finest = 1.0 + 25.0**-2
     expected = [(n**-2.0 - 25.0**-2) / finest for n in (4, 6, 10, 16)]
     assert np.allclose([p.error for p in points], expected)
-    assert "Meshes, against the finest" in [axes.get_title() for axes in charting.draw("cap", points).axes]
+    assert "Triangles, against the finest mesh" in [axes.get_title() for axes in charting.draw("cap", points).axes]
 
 
 # --- the search --------------------------------------------------------------------------------------------
@@ -209,6 +209,14 @@ def test_cheapest_that_meets_the_tolerance(pretend):
 def test_steps_are_doubled_while_they_meet_it(pretend):
     advice = advising.advise(cap(), 0.1, dt=0.01, say=lambda _: None, reference=SINE)
     assert np.isclose(advice.best.dt, 0.16) and advice.met
+
+
+def test_steps_are_not_doubled_past_what_the_trial_shows(pretend):
+    """Where any step meets the tolerance, eight of them are left in the trial."""
+    window = float(SINE.times[-1])
+    advice = advising.advise(cap(), 0.99, dt=window / 1000, say=lambda _: None, reference=SINE)
+    assert advice.met and window / 16 < advice.best.dt <= window / 8
+    assert any(reason.startswith("larger steps were not tried: the trial has ") for reason in advice.reasons)
 
 
 def test_tolerance_that_nothing_meets(pretend, monkeypatch):
