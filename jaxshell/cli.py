@@ -262,10 +262,10 @@ def _advise(options: argparse.Namespace) -> int:
 
 
 def _scenes(options: argparse.Namespace) -> int:
-    from jaxshell.scenes import PAPER
+    from jaxshell.scenes import BY_NAME
 
-    width = max(len(name) for name in PAPER)
-    for name, make in PAPER.items():
+    width = max(len(name) for name in BY_NAME)
+    for name, make in BY_NAME.items():
         print(f"{name:{width}}  {(make.__doc__ or '').splitlines()[0]}")
     return 0
 

@@ -56,13 +56,27 @@ def _momentum(run: Solution) -> list[str]:
     if late.sum() < 2:
         return []
     drifts = []
-    for name in ("linear", "angular"):
+    for name, scale in zip(("linear", "angular"), momentum_scales(run), strict=True):
         values = np.asarray(getattr(run.momentum, name))[late]
-        largest = np.linalg.norm(values, axis=1).max()
         drift = np.linalg.norm(values - values[0], axis=1).max()
-        drifts.append(f"{name} {drift / largest if largest > 0 else 0.0:.1e}")
+        drifts.append(drift / scale if scale > 0 else 0.0)
     since = f" after the loads (t = {after:.6g})" if after > 0 else ""
-    return [f"  momentum{since} changes by {', '.join(drifts)} of its size"]
+    return [
+        f"  momentum{since} changes by linear {drifts[0]:.1e} of √(2 M K), angular {drifts[1]:.1e} of that times "
+        "the shell's size"
+    ]
+
+
+def momentum_scales(run: Solution) -> tuple[float, float]:
+    """√(2 M K), the most linear momentum that the largest kinetic energy can carry (M the shell's mass), and that
+    times the shell's size (the diagonal of its bounding box): what a change of the momenta is measured against."""
+    mesh = run.scene.mesh
+    nodes, section = np.asarray(mesh.nodes), run.scene.section.per_element(mesh.n_elements)
+    a, b, c = np.moveaxis(nodes[mesh.triangles], 1, 0)
+    areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    mass = float(np.sum(np.asarray(section.density) * np.asarray(section.thickness) * areas))
+    linear = float(np.sqrt(2 * mass * np.max(np.asarray(run.energy.kinetic))))
+    return linear, linear * float(np.linalg.norm(np.ptp(nodes, axis=0)))
 
 
 def loads_end(scene: Scene) -> float:

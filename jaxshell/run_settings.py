@@ -11,15 +11,15 @@ _RESULT_FILES = (".h5", ".hdf5")
 
 def open_scene(name: str, divisions: Sequence[int] | None = None):
     """(scene, [run] settings, stem of files to write) of a scene's name, a scene file or a result file."""
-    from jaxshell.scenes import PAPER
+    from jaxshell.scenes import BY_NAME
 
     path = Path(name)
-    if name in PAPER and divisions is not None:
-        return PAPER[name](divisions=_counts(name, divisions)), {}, name
-    if name in PAPER:
-        return PAPER[name](), {}, name
+    if name in BY_NAME and divisions is not None:
+        return BY_NAME[name](divisions=_counts(name, divisions)), {}, name
+    if name in BY_NAME:
+        return BY_NAME[name](), {}, name
     if divisions is not None:
-        raise ValueError(f"--divisions is for the library's scenes ({', '.join(PAPER)}), not for files: {name!r}.")
+        raise ValueError(f"--divisions is for the library's scenes ({', '.join(BY_NAME)}), not for files: {name!r}.")
     if path.suffix == ".toml":
         from jaxshell.scene_file import read_scene_file
 
@@ -30,7 +30,7 @@ def open_scene(name: str, divisions: Sequence[int] | None = None):
         # Under another name, so that the results that are run again stay.
         return read_scene(path), _as_in_scene_files(read_settings(path)), f"{path.stem}_rerun"
     raise ValueError(
-        f"There is no scene {name!r}. Choose out of {', '.join(PAPER)}, or name a .toml scene file "
+        f"There is no scene {name!r}. Choose out of {', '.join(BY_NAME)}, or name a .toml scene file "
         "or an .h5 result file."
     )
 
@@ -54,9 +54,9 @@ def _as_in_scene_files(settings: dict) -> dict:
 
 def _counts(name: str, divisions: Sequence[int]):
     """Divisions as the scene's function wants them: one number, or as many as its default has."""
-    from jaxshell.scenes import PAPER, default_divisions
+    from jaxshell.scenes import BY_NAME, default_divisions
 
-    default = default_divisions(PAPER[name])
+    default = default_divisions(BY_NAME[name])
     count = len(default) if isinstance(default, tuple) else 1
     if len(divisions) != count:
         raise ValueError(f"The scene {name!r} takes {count} divisions, but {len(divisions)} are given.")

@@ -15,7 +15,7 @@ from jaxshell.loads import Gravity, History  # noqa: E402
 from jaxshell.method_names import choose_methods, method_label, parse_method  # noqa: E402
 from jaxshell.methods import GeneralizedEnergyMomentum, Newmark  # noqa: E402
 from jaxshell.report import loads_end  # noqa: E402
-from jaxshell.scenes import PAPER  # noqa: E402
+from jaxshell.scenes import BY_NAME, PAPER  # noqa: E402
 from jaxshell.solution import RESULTS, Solution  # noqa: E402
 
 STRIP = """
@@ -215,7 +215,8 @@ def test_step_control_and_another_mesh(tmp_path, capsys):
 def test_scenes_are_listed(capsys):
     assert main(["scenes"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == len(PAPER) and lines[0].startswith("cap         Clamped spherical cap")
+    assert len(lines) == len(BY_NAME) and lines[0].startswith("cap              Clamped spherical cap")
+    assert [line.split()[0] for line in lines] == list(BY_NAME)
 
 
 def test_help_and_version_need_no_float64(capsys):

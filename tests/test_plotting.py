@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import matplotlib.image
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 jax.config.update("jax_enable_x64", True)
 
@@ -15,9 +16,9 @@ from synthetic import synthetic_solution  # noqa: E402
 
 from jaxshell.generators import rectangle  # noqa: E402
 from jaxshell.plotting import figures, plot  # noqa: E402
-from jaxshell.plotting.shapes import symmetry_planes  # noqa: E402
+from jaxshell.plotting.shapes import _label_shapes, symmetry_planes  # noqa: E402
 from jaxshell.plotting.style import line, scaled  # noqa: E402
-from jaxshell.report import energy_balance  # noqa: E402
+from jaxshell.report import energy_balance, momentum_scales  # noqa: E402
 from jaxshell.scene import Scene  # noqa: E402
 from jaxshell.scenes import PAPER  # noqa: E402
 from jaxshell.section import Section  # noqa: E402
@@ -90,6 +91,29 @@ def test_vanishing_momentum_is_a_flat_line():
     run = eqx.tree_at(lambda s: s.momentum.linear, run, run.momentum.linear.at[:, 1].multiply(1e-15))
     low, high = figures(run)["momentum"].axes[2].get_ylim()
     assert low == -high and high > 0.01
+
+
+def test_momentum_of_a_shell_that_only_spins_is_a_flat_line():
+    """Round-off all of it: against what the kinetic energy could carry."""
+    run = synthetic_solution(plain_scene())
+    run = eqx.tree_at(lambda s: s.momentum.linear, run, run.momentum.linear * 1e-15)
+    linear, angular = momentum_scales(run)
+    size = float(np.linalg.norm(np.ptp(run.scene.mesh.nodes, axis=0)))
+    assert linear > 0 and np.isclose(angular, linear * size)
+    for panel in figures(run)["momentum"].axes[::2]:
+        assert np.allclose(panel.get_ylim(), [-0.05 * linear, 0.05 * linear])
+
+
+def test_times_of_shapes_that_lie_together_stand_above_each_other():
+    """Three shapes in the same place: their labels a line apart."""
+    figure = Figure()
+    panel = figure.subplots()
+    shape = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 1.0, 0.0]])
+    _label_shapes(panel, [shape, shape + 1e-3, shape, shape + 5.0], ["t = 0", "t = 1", "t = 2", "t = 3"])
+    heights = [text.xy[1] for text in panel.texts]
+    assert heights[0] == 1.0 and heights[3] == 6.0
+    steps = np.diff(heights[:3])
+    assert steps.min() > 0 and np.isclose(steps[0], steps[1])
 
 
 def test_units_only_where_the_scene_has_them(cap):

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from jaxshell.plotting.shapes import symmetry_planes
 from jaxshell.plotting.style import BLACK, BLUE, GREEN, PURPLE, VERMILLION, WIDTH, line, scaled, symmetry_note
-from jaxshell.report import energy_balance
+from jaxshell.report import energy_balance, momentum_scales
 from jaxshell.scene import Scene
 from jaxshell.solution import Solution
 
@@ -85,6 +85,9 @@ def momentum_figure(runs: Runs) -> Figure | None:
     for column, (name, symbol, unit) in enumerate((("linear", "L", "N s"), ("angular", "J", "N m s"))):
         values = [np.asarray(getattr(run.momentum, name)) for run in runs.values()]
         largest = max(float(np.max(np.abs(v))) for v in values)
+        # A momentum that vanishes, of a shell that only spins for one, is a flat line too.
+        scale = max(momentum_scales(run)[column] for run in runs.values())
+        largest = scale if largest < 1e-6 * scale else largest
         divisor, unit = scaled(scene, largest, unit)
         for row in range(3):
             panel = panels[row, column]

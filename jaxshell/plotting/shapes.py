@@ -157,9 +157,18 @@ def _draw(panel, projected, shapes, triangles, distances, length, colours) -> No
 
 
 def _label_shapes(panel, projected, labels) -> None:
+    """Each shape's time above its highest point, and above the labels that stand there already."""
+    # Sizes of a line of text in the picture's units: nothing is laid out yet.
+    width, height = np.ptp(np.concatenate([p[:, :2] for p in projected]), axis=0)
+    inch = max(width / (0.8 * WIDTH), height / (0.8 * panel.figure.get_figheight()))
+    line, letter = 0.2 * inch, 0.08 * inch
+    placed = []
     for p, label in zip(projected, labels, strict=True):
-        top = p[np.argmax(p[:, 1])]
-        panel.annotate(label, top[:2], (0, 4), textcoords="offset points", ha="center", va="bottom")
+        x, y = p[np.argmax(p[:, 1]), :2]
+        while near := [k for h, k in placed if abs(x - h) < letter * len(label) and abs(y - k) < 0.99 * line]:
+            y = max(near) + line
+        placed.append((x, y))
+        panel.annotate(label, (x, y), (0, 4), textcoords="offset points", ha="center", va="bottom")
 
 
 def _scale_bar(panel, scene: Scene, low, high) -> None:

@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Callable
 
+from jaxshell.scene import Scene
 from jaxshell.scenes.dynamic import flying_cylinder, l_shaped_plate, snapping_panel, spinning_plate
 from jaxshell.scenes.paper import free_plate, opened_cap, spherical_cap
 from jaxshell.scenes.static import (
@@ -20,6 +21,11 @@ from jaxshell.scenes.static import (
 PAPER = {"cap": spherical_cap, "plate": free_plate, "opened_cap": opened_cap}
 """The scenes of Yang & Xia 2014, under the names that the command line uses."""
 
+BY_NAME: dict[str, Callable[..., Scene]] = PAPER | {
+    make.__name__: make for make in (flying_cylinder, l_shaped_plate, snapping_panel, spinning_plate)
+}
+"""The scenes that the command line runs by name: the paper's, and the library's others that move."""
+
 
 def default_divisions(make: Callable) -> int | tuple[int, ...]:
     """The divisions of the mesh that a function of the library takes by default."""
@@ -27,6 +33,7 @@ def default_divisions(make: Callable) -> int | tuple[int, ...]:
 
 
 __all__ = [
+    "BY_NAME",
     "PAPER",
     "cantilever_end_moment",
     "cantilever_end_shear",
