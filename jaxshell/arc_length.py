@@ -44,6 +44,10 @@ _CUTS = 10
 _WANTED_ITERATIONS = 6
 """Steps grow where the iteration takes fewer and shrink where it takes more."""
 _GIVE_UP = 1e3
+_FIRST_LOAD, _TINY = 0.05, 1e-6
+"""Without a given arc length, the load factor whose displacements at the start are one; and a step, as a part of the
+shell's size, that shows them."""
+_NO_PATH = "Nothing loads or moves the shell: there is no path to follow. Look at the scene's loads and supports."
 _STRAIGHT = 0.8
 """Cosine of the angle between two steps below which the second is halved: where the path turns back sharply, a long
 step may land on the part that it came from, and go back along it."""
@@ -51,7 +55,7 @@ step may land on the part that it came from, and go back along it."""
 
 def solve_arc_length(
     scene: Scene,
-    arc_length: float,
+    arc_length: float | None = None,
     *,
     steps: int = 200,
     max_load_factor: float = 1.0,
@@ -69,8 +73,9 @@ def solve_arc_length(
     bifurcation the path goes on straight: a small imperfection or load leads it onto a branch.
 
     Arguments:
-        arc_length: the longest step, as the root mean square of the nodes' displacements [length]. Steps are
-            shortened where the iteration gets slow, and halved where it fails or the path bends by more than 37°.
+        arc_length: the longest step, as the root mean square of the nodes' displacements [length]; None is how
+            far a twentieth of the loads moves the shell by its stiffness at the start. Steps are shortened where
+            the iteration gets slow, and halved where it fails or the path bends by more than 37°.
         steps: the largest number of steps.
         max_load_factor: the path ends with the first step at or beyond this load factor, in size.
         tangent, newton, linear_solver, save_every, throw, progress, output: as in `solve_static`.
@@ -82,10 +87,13 @@ def solve_arc_length(
     require_float64()
     newton = DEFAULT_NEWTON if newton is None else newton
     _check_options(scene, Static(), save_every, tangent, newton)
-    check_positive("arc_length", arc_length)
+    if arc_length is not None:
+        check_positive("arc_length", arc_length)
     check_positive("max_load_factor", max_load_factor)
     if not isinstance(steps, int | np.integer) or steps < 1:
         raise ValueError(f"steps must be a whole number of at least 1, but it is {steps!r}.")
+    if not scene.loads and all(support.displacement is None for support in scene.supports):
+        raise ValueError(_NO_PATH)
     if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, newton, arc_length))):
         raise ValueError(
             "solve_arc_length chooses its steps as it goes and cannot be traced: use solve_static."
@@ -192,7 +200,14 @@ def _driven(
 ) -> Solution:
     begun = time.perf_counter()
     model, carry, record, frame = program.prepare(proportional(scene), Static(), newton, tables, handle, choices)
-    state, previous, length = carry.state, jnp.zeros_like(carry.state.d), float(arc_length)
+    state, previous = carry.state, jnp.zeros_like(carry.state.d)
+    if arc_length is None:
+        tiny = _TINY * model.size
+        after, *_ = _advance(model, newton, handle, choices, state, previous, tiny)
+        arc_length = float(_FIRST_LOAD * tiny / (after.time - state.time))
+        if not 0 < arc_length < np.inf:
+            raise ValueError(_NO_PATH)
+    length = float(arc_length)
     code, message = int(SUCCESSFUL), ""
     log = Log(scene, choices.save_every, record, frame, output, Static(), newton, choices)
     with log:

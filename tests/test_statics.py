@@ -250,10 +250,20 @@ def test_a_path_that_turns_back_sharply_is_not_followed_back(arc_length):
     assert imbalance(path) < BALANCE
 
 
+def test_an_arc_length_is_found_where_none_is_given():
+    """The thin roof's limit loads, 0.1953 and -0.1288 in the reference, found without one."""
+    path = js.solve_arc_length(scenes.hinged_roof((8, 8), 6.35))
+    factors = np.asarray(path.times)
+    assert factors[-1] >= 1
+    turning = 1 + np.flatnonzero(np.diff(factors)[:-1] * np.diff(factors)[1:] < 0)
+    np.testing.assert_allclose(factors[turning], [0.1953, -0.1288], rtol=0.02)
+
 def test_bad_arc_lengths_are_refused():
     with pytest.raises(ValueError, match="arc_length must be positive"):
         js.solve_arc_length(strip((TIP,)), -1.0)
     with pytest.raises(ValueError, match="steps"):
         js.solve_arc_length(strip((TIP,)), 1.0, steps=0)
+    with pytest.raises(ValueError, match="Nothing loads or moves the shell: there is no path to follow"):
+        js.solve_arc_length(strip())
     with pytest.raises(ValueError, match="cannot be traced"):
         jax.grad(lambda s: js.solve_arc_length(strip((TIP,)), s).watched["tip"][-1])(0.1)
