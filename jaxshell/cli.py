@@ -14,6 +14,7 @@ from pathlib import Path
 from jaxshell.run_settings import (
     chosen_methods,
     chosen_newton,
+    one_thread_for_small_meshes,
     open_scene,
     solution_to_go_on_from,
     step_control,
@@ -139,6 +140,7 @@ class _Version(argparse.Action):
 
 
 def _run(options: argparse.Namespace) -> int:
+    one_thread_for_small_meshes(options.scene, options.divisions)
     _prepare_jax()
     from jaxshell.report import describe_run, describe_scene
     from jaxshell.simulation import simulate
@@ -224,6 +226,7 @@ def _plot(options: argparse.Namespace) -> int:
 
 
 def _chart(options: argparse.Namespace) -> int:
+    one_thread_for_small_meshes(options.scene)
     _prepare_jax()
     from jaxshell.chart import chart, default_window, draw, mesh_points, write_points
     from jaxshell.scenes import PAPER
@@ -243,6 +246,7 @@ def _chart(options: argparse.Namespace) -> int:
 
 
 def _advise(options: argparse.Namespace) -> int:
+    one_thread_for_small_meshes(options.scene)
     _prepare_jax()
     from jaxshell.advice_text import command_line, describe, run_section
     from jaxshell.advise import advise

@@ -2,11 +2,50 @@
 
 import argparse
 import dataclasses
+import math
+import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 _RESULT_FILES = (".h5", ".hdf5")
+
+
+_SMALL = 500
+"""Elements below which XLA's second thread costs more than it brings (docs/performance.md, "Size and threads")."""
+
+
+def one_thread_for_small_meshes(name: str, divisions: Sequence[int] | None = None) -> None:
+    """Let XLA have one thread where the scene is small; NPROC in the environment says otherwise.
+
+    To be called before JAX starts: without effect in a process that has imported it.
+    """
+    if "jax" not in sys.modules and 0 < _about_as_many_elements(name, divisions) < _SMALL:
+        os.environ.setdefault("NPROC", "1")
+
+
+def _about_as_many_elements(name: str, divisions: Sequence[int] | None) -> int:
+    """Elements of a scene, estimated from its divisions, without an array of JAX's; 0 where they are not known."""
+    path = Path(name)
+    try:
+        if path.suffix in _RESULT_FILES:
+            import h5py
+
+            with h5py.File(path) as file:
+                return len(file["scene/mesh/connectivity"])  # pyright: ignore[reportArgumentType]
+        if path.suffix == ".toml":
+            import tomllib
+
+            found = tomllib.loads(path.read_text(encoding="utf-8"))["mesh"]["divisions"]
+        else:
+            from jaxshell.scenes import BY_NAME, default_divisions
+
+            found = divisions or default_divisions(BY_NAME[name])
+        counts = [found] if isinstance(found, int) else [*found]
+        return 2 * math.prod(counts if len(counts) > 1 else 2 * counts)
+    except (KeyError, OSError, TypeError, ValueError):
+        return 0  # What is wrong with it is said when the scene is made.
 
 
 def open_scene(name: str, divisions: Sequence[int] | None = None):

@@ -1,5 +1,6 @@
 """The command `jaxshell`: runs, reruns, plots, lists; failures and bad input end without a traceback."""
 
+import os
 import subprocess
 import sys
 from typing import Any
@@ -15,6 +16,7 @@ from jaxshell.loads import Gravity, History  # noqa: E402
 from jaxshell.method_names import choose_methods, method_label, parse_method  # noqa: E402
 from jaxshell.methods import GeneralizedEnergyMomentum, Newmark  # noqa: E402
 from jaxshell.report import loads_end  # noqa: E402
+from jaxshell.run_settings import _about_as_many_elements  # noqa: E402
 from jaxshell.scenes import BY_NAME, PAPER  # noqa: E402
 from jaxshell.solution import RESULTS, Solution  # noqa: E402
 
@@ -195,6 +197,30 @@ def test_bad_input_is_a_short_error(arguments, message, capsys, tmp_path, monkey
     captured = capsys.readouterr()
     assert captured.err.startswith("jaxshell: ") and message in captured.err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("scene", "divisions", "elements"),
+    [("cap", None, 200), ("cap", [20], 800), ("plate", None, 90), ("opened_cap", None, 960), ("flying_cylinder", None, 256),
+     ("strip.toml", None, 4), ("all/strip_EMC.h5", None, 4), ("none.h5", None, 0), ("dome", None, 0), ("plate", ["x"], 0)],
+)  # fmt: skip
+def test_elements_are_estimated_before_jax_starts(scene, divisions, elements, finished):
+    """Small meshes get one of XLA's threads. What cannot be estimated counts as large."""
+    name = scene if "." not in scene else str(finished / scene)
+    assert _about_as_many_elements(name, divisions) == elements
+
+
+def test_one_thread_for_a_small_mesh_only(tmp_path):
+    """Seen from outside: which environment JAX starts with; the user's own word comes first."""
+    program = (
+        "import os, sys; from jaxshell.run_settings import one_thread_for_small_meshes as f; "
+        "f(*sys.argv[1:]); print(os.environ.get('NPROC'))"
+    )
+    bare = {key: value for key, value in os.environ.items() if key != "NPROC"}
+    for name, environment, expected in (("cap", bare, "1"), ("opened_cap", bare, "None"), ("cap", bare | {"NPROC": "2"}, "2")):
+        command = [sys.executable, "-c", program, name]
+        found = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        assert found.stdout.strip() == expected
 
 
 def test_scene_without_a_step_asks_for_one(tmp_path, capsys):
