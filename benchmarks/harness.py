@@ -56,7 +56,9 @@ def compare(scene: str, threads: int, rounds: int, steps: int, peers: str | None
     if peers:
         entries |= PEERS
     workers = {
-        name: Worker(program, threads, peers if program in ("kratos", "opensees") else sys.executable)
+        name: Worker(program, threads, peers)
+        if program in ("kratos", "opensees")
+        else Worker(program, threads, elements=made.mesh.n_elements)
         for name, (program, _) in entries.items()
     }
     # Compiles; for the peers a first look at the disk.

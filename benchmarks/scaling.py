@@ -31,7 +31,7 @@ def main(arguments=None) -> int:
     found = {"machine": machine(), "method": options.method, "steps": STEPS, "results": []}
     for threads in options.threads:
         for divisions in options.divisions:
-            worker = Worker("jaxshell", threads)
+            worker = Worker("jaxshell", threads, elements=2 * divisions**2)
             request = {
                 "scene": "cap", "divisions": divisions, "method": options.method, "dt": 2e-6, "steps": STEPS,
                 "tolerance": 1e-8, "save_every": STEPS,

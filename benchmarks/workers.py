@@ -1,6 +1,7 @@
 """Programs under measurement: started on a stated number of cores, asked in turn, so that noise falls on all alike."""
 
 import json
+import math
 import os
 import platform
 import subprocess
@@ -9,6 +10,8 @@ import tempfile
 import time
 from importlib import metadata
 from pathlib import Path
+
+from jaxshell.run_settings import SMALL
 
 HERE = Path(__file__).parent
 SCRIPTS = {
@@ -20,9 +23,12 @@ _THREAD_VARIABLES = ("MKL_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS
 
 
 class Worker:
-    """A program on as many cores as `threads`, its libraries limited to as many threads."""
+    """A program on as many cores as `threads`, its libraries limited to as many threads.
 
-    def __init__(self, program: str, threads: int, python: str = sys.executable):
+    With `elements`, jaxshell's XLA gets one thread for small meshes, as the command line has it.
+    """
+
+    def __init__(self, program: str, threads: int, python: str = sys.executable, elements: float = math.inf):
         self.program, self.threads = program, threads
         environment = {
             **os.environ,
@@ -31,6 +37,8 @@ class Worker:
         }
         if threads == 1:
             environment["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false"
+        if elements < SMALL:
+            environment["NPROC"] = "1"
         cores = sorted(os.sched_getaffinity(0))[-threads:]
         self.log = tempfile.TemporaryFile("w+")  # noqa: SIM115 (open as long as the worker)
         self.process = subprocess.Popen(

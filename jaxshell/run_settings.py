@@ -12,7 +12,7 @@ from typing import Any
 _RESULT_FILES = (".h5", ".hdf5")
 
 
-_SMALL = 500
+SMALL = 500
 """Elements below which XLA's second thread costs more than it brings (docs/performance.md, "Size and threads")."""
 
 
@@ -21,7 +21,7 @@ def one_thread_for_small_meshes(name: str, divisions: Sequence[int] | None = Non
 
     To be called before JAX starts: without effect in a process that has imported it.
     """
-    if "jax" not in sys.modules and 0 < _about_as_many_elements(name, divisions) < _SMALL:
+    if "jax" not in sys.modules and 0 < _about_as_many_elements(name, divisions) < SMALL:
         os.environ.setdefault("NPROC", "1")
 
 
