@@ -75,14 +75,15 @@ def open_scene(name: str, divisions: Sequence[int] | None = None):
 
 
 def _as_in_scene_files(settings: dict) -> dict:
-    """A result file's settings by the names that [run] has; method, Newton and step control as objects."""
-    from jaxshell.method_names import parse_method
+    """A result file's settings by the names that [run] has; Newton and step control as objects."""
     from jaxshell.newton import Newton
     from jaxshell.quoted import unquote
     from jaxshell.step_control import StepControl
 
-    found = settings | {"made_method": parse_method(settings.get("method", ""))}
-    del found["method"]
+    quoted = settings.get("method", "")
+    if quoted.startswith("Static("):
+        return {}  # Nothing of it fits a run in time.
+    found = {key: value for key, value in settings.items() if key != "method"} | {"quoted_method": quoted}
     if "newton" in settings:
         found["made_newton"] = unquote(settings["newton"], {"Newton": Newton})
     if isinstance(settings.get("dt"), str):
@@ -116,14 +117,14 @@ def wanted(options: argparse.Namespace, settings: dict, scene, key: str):
 
 def chosen_methods(options: argparse.Namespace, settings: dict, scene) -> dict[str, Any]:
     """{label: method}; parameters and inertia given on the command line replace the file's."""
-    from jaxshell.method_names import choose_methods, method_label
+    from jaxshell.method_names import choose_methods, method_label, parse_method
 
     names = options.method or settings.get("method", [])
     names = [names] if isinstance(names, str) else names
     keys = ("spectral_radius", "dissipation")
     given = {key: getattr(options, key) for key in keys if getattr(options, key) is not None}
-    if "made_method" in settings and not options.method:
-        method = settings["made_method"]
+    if "quoted_method" in settings and not options.method:
+        method = parse_method(settings["quoted_method"])
         for key in given:
             if not hasattr(method, key):
                 raise ValueError(f"The file's method, {type(method).__name__}, has no {key}.")
@@ -177,7 +178,7 @@ def solution_to_go_on_from(options: argparse.Namespace):
         raise ValueError("--continue goes on with the method of the file: leave --method out.")
     solution = Solution.load(options.scene)
     if solution.state is None:
-        raise ValueError(f"{options.scene} holds no state to go on from: it was written by an older version.")
+        raise ValueError(f"{options.scene} holds no state to go on from: it is of statics, or of an older version.")
     return solution
 
 

@@ -12,13 +12,18 @@ import pytest
 jax.config.update("jax_enable_x64", True)
 
 from jaxshell.cli import main  # noqa: E402
-from jaxshell.loads import Gravity, History  # noqa: E402
+from jaxshell.generators import rectangle  # noqa: E402
+from jaxshell.loads import Gravity, History, NodalForce  # noqa: E402
 from jaxshell.method_names import choose_methods, method_label, parse_method  # noqa: E402
 from jaxshell.methods import GeneralizedEnergyMomentum, Newmark  # noqa: E402
 from jaxshell.report import loads_end  # noqa: E402
 from jaxshell.run_settings import _about_as_many_elements  # noqa: E402
+from jaxshell.scene import Scene  # noqa: E402
 from jaxshell.scenes import BY_NAME, PAPER  # noqa: E402
+from jaxshell.section import Section  # noqa: E402
 from jaxshell.solution import RESULTS, Solution  # noqa: E402
+from jaxshell.statics import solve_static  # noqa: E402
+from jaxshell.supports import clamped  # noqa: E402
 
 STRIP = """
 [mesh]
@@ -147,6 +152,21 @@ def test_rerun_keeps_newton_step_control_and_parameters(finished, tmp_path):
     three = Solution.load(tmp_path / "strip_rerun.h5")
     assert three.stats["method"].startswith("EnergyMomentum(dissipation=0.1") and len(three.times) == 11
     assert "tolerance=1e-09" in three.stats["newton"]
+
+
+def test_a_static_result_is_run_in_time_as_its_scene(tmp_path, capsys):
+    """Of how a static solution was found nothing fits a run in time: steps are asked for, and given."""
+    mesh = rectangle(2.0, 1.0, (2, 1))
+    section, load = Section(0.1, 1e4, 0.3, 1.0), NodalForce([2], [0.0, 0.0, 0.1])
+    scene = Scene(mesh, section, [clamped([0, 3])], [load], watch={"tip": (2, "uz")})
+    solve_static(scene, [1.0], output=tmp_path / "still.h5")
+    run = ["run", str(tmp_path / "still.h5"), "--no-plots", "--quiet", "--output", str(tmp_path)]
+    assert main(run) == 2 and "The scene gives no dt: add --dt" in capsys.readouterr().err
+    assert main([*run, "--dt", "0.1", "--t-end", "1"]) == 0
+    moving = Solution.load(tmp_path / "still_rerun.h5")
+    assert moving.stats["method"].startswith("GeneralizedEnergyMomentum(") and "reuse=True" in moving.stats["newton"]
+    assert main([*run, "--dt", "0.1", "--t-end", "1", "--continue"]) == 2
+    assert "still.h5 holds no state to go on from: it is of statics" in capsys.readouterr().err
 
 
 def test_plot_of_several_files(finished, capsys):
