@@ -91,7 +91,9 @@ def test_rerun_of_a_result_file_gives_the_same(finished):
     assert one.stats["method"] == two.stats["method"]
 
 
-@pytest.mark.parametrize("method", ["EDMC1", "exact", "newmark", "bathe", "centraldifference"])
+@pytest.mark.parametrize(
+    "method", ["EDMC1", "exact", *(pytest.param(m, marks=pytest.mark.slow) for m in ("newmark", "bathe", "centraldifference"))]
+)
 def test_a_run_goes_on_from_its_file(method, finished, tmp_path):
     """In two halves the run that one makes in one go, by every kind of state."""
     dt = ["--dt", "1e-4", "--t-end"] if method == "centraldifference" else ["--t-end"]
