@@ -219,7 +219,7 @@ class _Search:
         elif larger:
             nearest = min(larger, key=lambda p: p.dt)
             reasons.append(f"dt = {nearest.dt:.3g} would miss: error {nearest.error:.1e}")
-        else:
+        elif not isinstance(best.method, methods.CentralDifference):
             steps = float(self.reference.times[-1]) / point.dt
             reasons.append(f"larger steps were not tried: the trial has {steps:.0f} of these (--t-end makes it longer)")
         for label in dict.fromkeys(p.label for p in self.points):

@@ -107,6 +107,12 @@ def structured_triangles(rows: int, columns: int, periodic: bool = False) -> np.
     return np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], 1).reshape(-1, 3)
 
 
+def triangle_areas(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(m,) areas [length²] of triangles (m, 3) between nodes (n, 3)."""
+    a, b, c = np.moveaxis(nodes[triangles], 1, 0)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
 def _edges(triangles: np.ndarray) -> np.ndarray:
     return triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
 
@@ -150,7 +156,7 @@ def _check_connectivity(triangles: np.ndarray, n_nodes: int) -> None:
 
 def _check_areas(nodes: np.ndarray, triangles: np.ndarray) -> None:
     a, b = nodes[triangles[:, 1]] - nodes[triangles[:, 0]], nodes[triangles[:, 2]] - nodes[triangles[:, 0]]
-    area = 0.5 * np.linalg.norm(np.cross(a, b), axis=1)
+    area = triangle_areas(nodes, triangles)
     longest = np.max([np.sum(v * v, axis=1) for v in (a, b, b - a)], axis=0)
     flat = area <= 1e-8 * longest
     if flat.any():

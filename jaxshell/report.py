@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxshell.mesh import triangle_areas
 from jaxshell.scene import Scene
 from jaxshell.solution import Solution
 
@@ -72,9 +73,7 @@ def momentum_scales(run: Solution) -> tuple[float, float]:
     times the shell's size (the diagonal of its bounding box): what a change of the momenta is measured against."""
     mesh = run.scene.mesh
     nodes, section = np.asarray(mesh.nodes), run.scene.section.per_element(mesh.n_elements)
-    a, b, c = np.moveaxis(nodes[mesh.triangles], 1, 0)
-    areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    mass = float(np.sum(np.asarray(section.density) * np.asarray(section.thickness) * areas))
+    mass = float(np.sum(np.asarray(section.density * section.thickness) * triangle_areas(nodes, mesh.triangles)))
     linear = float(np.sqrt(2 * mass * np.max(np.asarray(run.energy.kinetic))))
     return linear, linear * float(np.linalg.norm(np.ptp(nodes, axis=0)))
 

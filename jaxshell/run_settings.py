@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 _RESULT_FILES = (".h5", ".hdf5")
-
-
 SMALL = 500
 """Elements below which XLA's second thread costs more than it brings (docs/performance.md, "Size and threads")."""
 

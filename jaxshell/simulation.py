@@ -166,8 +166,8 @@ def _driven_run(run: Run, steps, output, bar, restart) -> Solution:
         code, taken = int(carry.result), record.time.size - 1
         message = _message(code, taken, record.time[-1], dt)
         stats = Stats(
-            method=quote(_plain(run.method)),
-            newton=quote(run.newton),
+            method=settings["method"],
+            newton=settings["newton"],
             linear_solver=type(run.choices.linear_solver).__name__,
             tangent=run.choices.tangent,
             steps=taken,
@@ -225,12 +225,13 @@ def _select(tree, which):
 def _settings(run: Run, steps, start) -> dict:
     """What a result file says about how the run was made, enough to make it again."""
     controlled = isinstance(steps, Controlled)
+    method = run.method.method if isinstance(run.method, WithReactions) else run.method
     return {
-        "method": quote(_plain(run.method)),
+        "method": quote(method),
         "newton": quote(run.newton),
         "tangent": run.choices.tangent,
         "save_every": run.choices.save_every,
-        "reactions": isinstance(run.method, WithReactions),
+        "reactions": method is not run.method,
         "dt": quote(steps.control) if controlled else float(steps[0]),
         "t_end": float(start + (steps.stops[-1] if controlled else np.sum(steps))),
     }
@@ -333,10 +334,6 @@ def _message(code: int, taken: int, at, dt) -> str:
     if code == SUCCESSFUL:
         return ""
     return f"Step {taken + 1}, from t = {at:.6g} with dt = {float(dt):.3g}: {RESULTS[_results()[code]]}"
-
-
-def _plain(method: Method) -> Method:
-    return method.method if isinstance(method, WithReactions) else method
 
 
 def _expand(tree):

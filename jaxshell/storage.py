@@ -98,9 +98,9 @@ class ResultWriter:
             _extend(histories["reaction"], reaction)
         _extend(histories["iterations"], iterations)
         _extend(histories["times"], times)
-        for name, array in {} if state is None else named(state).items():
-            dataset = self._file.require_dataset(f"state/{name}", np.shape(array), np.asarray(array).dtype)
-            dataset[...] = np.asarray(array)
+        for name, leaf in {} if state is None else named(state).items():
+            array = np.asarray(leaf)
+            self._file.require_dataset(f"state/{name}", array.shape, array.dtype)[...] = array
         self._file.flush()
 
     def finish(self, result: str, message: str, stats: dict) -> None:

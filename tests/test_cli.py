@@ -232,7 +232,7 @@ def test_elements_are_estimated_before_jax_starts(scene, divisions, elements, fi
     assert _about_as_many_elements(name, divisions) == elements
 
 
-def test_one_thread_for_a_small_mesh_only(tmp_path):
+def test_one_thread_for_a_small_mesh_only():
     """Seen from outside: which environment JAX starts with; the user's own word comes first."""
     program = (
         "import os, sys; from jaxshell.run_settings import one_thread_for_small_meshes as f; "

@@ -156,7 +156,6 @@ def test_scenes_and_their_parts_can_be_replaced():
     assert other.loads == () and other.watch == (("rim", 3, "ux"),) and other.mesh is cap.mesh
 
 
-
 def test_the_papers_scenes():
     """Section VI: meshes, section, loads, supports, steps."""
     cap, plate, opened = js.scenes.spherical_cap(), js.scenes.free_plate(), js.scenes.opened_cap()

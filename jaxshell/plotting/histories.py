@@ -82,12 +82,12 @@ def momentum_figure(runs: Runs) -> Figure | None:
     if symmetry_planes(scene):
         return None
     figure, panels, seconds = _panels(runs, 3, 2, height=1.6)
+    scales = np.max([momentum_scales(run) for run in runs.values()], axis=0)
     for column, (name, symbol, unit) in enumerate((("linear", "L", "N s"), ("angular", "J", "N m s"))):
         values = [np.asarray(getattr(run.momentum, name)) for run in runs.values()]
         largest = max(float(np.max(np.abs(v))) for v in values)
         # A momentum that vanishes, of a shell that only spins for one, is a flat line too.
-        scale = max(momentum_scales(run)[column] for run in runs.values())
-        largest = scale if largest < 1e-6 * scale else largest
+        largest = scales[column] if largest < 1e-6 * scales[column] else largest
         divisor, unit = scaled(scene, largest, unit)
         for row in range(3):
             panel = panels[row, column]
