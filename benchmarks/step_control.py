@@ -31,13 +31,14 @@ jax.config.update("jax_enable_x64", True)
 
 CASES = {
     "cap, first swing (force at once)": (js.scenes.spherical_cap(), 1.26e-4, 3000, (4, 250)),
+    "cap, to 0.3 ms (force at once)": (js.scenes.spherical_cap(), 3e-4, 6000, (8, 400)),
     "cap, force over 0.1 ms": (ramped(js.scenes.spherical_cap(), 1e-4), 1.5e-4, 3000, (4, 250)),
     "plate, to 20 ms": (js.scenes.free_plate(), 0.02, 6400, (12, 400)),
     "opened cap, to t = 5": (js.scenes.opened_cap(), 5.0, 4000, (25, 400)),
 }
 """Scene, duration, steps of the reference, and the fewest and most fixed steps."""
-TOLERANCES = np.geomspace(3e-2, 2e-5, 24)
-WANTED = (0.05, 0.03, 0.02, 0.01, 0.005)
+TOLERANCES = np.geomspace(3e-2, 2e-5, 48)
+WANTED = (0.1, 0.05, 0.03, 0.02, 0.01, 0.005)
 
 
 def compare(scene: js.Scene, duration: float, fine: int, ends: tuple[int, int]) -> list[list[tuple[int, float]]]:
@@ -56,7 +57,7 @@ def compare(scene: js.Scene, duration: float, fine: int, ends: tuple[int, int]) 
         squares = (np.asarray(run.watched[label]) - answer(times)) ** 2
         return steps, float(np.sqrt(np.trapezoid(squares, times) / duration) / size)
 
-    counts = np.unique(np.geomspace(*ends, 32).astype(int))
+    counts = np.unique(np.geomspace(*ends, 48).astype(int))
     first = duration / 30  # a guess that need not be good
     return [
         [tried(duration / int(count)) for count in counts],

@@ -31,7 +31,8 @@ _ROUND_OFF = 1e-14
 _RESIDUAL_SAFETY = 0.1
 """The correction scales with the residual only roughly: ask for ten times less."""
 _GIVE_UP = 1e3
-"""Diverged: a correction this many times the shell's size (or radians)."""
+"""Diverged: a correction this many times the shell's size (or radians), even scaled down, or twice in a row: once it
+may come from an iterate whose matrix happens to be all but singular."""
 _CONTRACTS = 0.25
 """A kept factorization is used again while corrections shrink at least by this factor ..."""
 _AFFORDABLE = 6
@@ -115,6 +116,8 @@ class _Carry(NamedTuple):
     """The last correction's matrix was its own iterate's."""
     full: Bool[Array, ""]
     """Kept factorizations have failed in this step: begun anew with one in every iteration."""
+    huge: Bool[Array, ""]
+    """The last correction was one to give up at, but for its being scaled down."""
 
 
 def _where(condition, there: _Carry, here: _Carry) -> _Carry:
@@ -196,8 +199,9 @@ class Newton(eqx.Module):
                 enough = (length <= target) | ((q < 0.5) & (predicted <= target))
                 if self.reuse:
                     enough |= fresh & (q > 0.5) & (c.correction < _NOISE)
-            bad = ~jnp.isfinite(length) | (length > _GIVE_UP)
+            huge = length > _GIVE_UP
             # A correction that an old factorization spoiled is not taken; the next factors anew.
+            bad = ~jnp.isfinite(length) | (huge & (~fresh | c.huge | (damping * length > _GIVE_UP)))
             final = bad & fresh
             done = final | (enough & whole & ~bad)
             result = jnp.where(final, jnp.where(jnp.isfinite(length), DIVERGED, SINGULAR), SUCCESSFUL)
@@ -214,6 +218,7 @@ class Newton(eqx.Module):
                 hard,
                 fresh,
                 c.full,
+                huge & fresh,
             )
             if not self.reuse:
                 return after
@@ -248,6 +253,7 @@ class Newton(eqx.Module):
         start = _Carry(
             guess, jnp.zeros_like(guess), jnp.array(False), zero, zero, zero,
             jnp.array(jnp.inf), jnp.array(0.0), memory, jnp.array(False), jnp.array(False), full,
+            jnp.array(False),
         )
         limit = self.max_iterations * (2 if self.reuse else 1)
         end = lax.while_loop(lambda c: ~c.done & (c.iterations < limit), body, start)

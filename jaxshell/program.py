@@ -196,7 +196,7 @@ def try_steps(
             state, info, memory = method.step(model, carry.state, dt, solvers, carry.memory)
             state = eqx.tree_at(lambda s: s.time, state, jnp.where(lands, stop, state.time))
             solved = info.result == SUCCESSFUL
-            after, accepted = control.judge(now, dt, solved, state, model.size)
+            after, accepted = control.judge(now, dt, solved, state, model.size, stops[-1])
             state = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), state, carry.state)
             small = ~accepted & (after.dt < control.smallest)
             failure = jnp.where(solved, STEP_TOO_SMALL, info.result).astype(jnp.int32)

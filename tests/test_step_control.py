@@ -88,6 +88,7 @@ def test_frozen_steps_repeat_the_run():
         ({"tolerance": 1e-3, "initial": -1.0}, "initial must be positive, but it is -1.0"),
         ({"tolerance": 1e-3, "initial": 1.0, "smallest": 2.0}, "smallest <= initial"),
         ({"tolerance": 1e-3, "initial": 1.0, "output_interval": 0.0}, "output_interval must be positive"),
+        ({"tolerance": 1e-3, "initial": 1.0, "horizon": -2.0}, "horizon must be positive, but it is -2.0"),
     ],
 )
 def test_bad_numbers_are_named(arguments, match):
