@@ -21,7 +21,7 @@ from jaxshell.checks import check_positive, is_concrete
 _SAFETY, _LEAST, _MOST = 0.85, 0.25, 4.0
 """Aim below the tolerance, and change the step by no more than these factors at once."""
 _ACCEPT = 2.0
-"""A step with up to this many times the tolerance is taken: the estimate scatters, and doing a step again costs a step."""
+"""A step with up to this many times the tolerance is taken: the estimate scatters, and a repetition costs a step."""
 _STRETCH = 1.0 / _SAFETY
 """A step may be this much longer than chosen where it lands then: the error is still the tolerance."""
 _SHARED = 3

@@ -42,6 +42,15 @@ def test_free_plate_conserves(dt):
     assert max(figures[key] for key in ("energy", "linear", "angular", "balance")) < 1e-12
 
 
+@pytest.mark.parametrize("steps", [12, 24, 36, 70, 76, 96, 98, 131])
+def test_free_plate_with_few_steps(steps):
+    """20 ms in few steps: some start from an iterate whose mixed tangent is all but singular."""
+    solution = plate(js.EnergyMomentum(), 0.02 / steps, t_end=0.02, newton=js.Newton())
+    energy = np.asarray(solution.energy.total)
+    assert solution.result == js.RESULTS.successful
+    assert np.abs(energy - np.asarray(solution.energy.external_work)).max() < 1e-7 * energy.max()
+
+
 @pytest.mark.parametrize("dissipation", [0.02, 0.5])
 def test_free_plate_loses_what_is_dissipated(dissipation):
     """The paper's ξ and the largest: the energy falls at every step; with what was removed it is the loads' work."""

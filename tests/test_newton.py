@@ -124,15 +124,31 @@ def test_rotations_of_an_iterate_are_bounded():
     assert int(solve(Newton(max_rotation=0.5, max_iterations=100), 4.0, far).result) == SUCCESSFUL
 
 
+@pytest.mark.parametrize("reuse", [False, True])
+def test_one_iterate_with_a_nearly_singular_matrix_is_no_failure(reuse):
+    """θ³/3 = θ has the slope 1e-9 next to θ = 1: that correction is cut to the largest rotation, the next are good."""
+    newton, handle = Newton(reuse=reuse), linear()
+
+    @jax.jit
+    def run(guess):
+        equations = problem(lambda u: jnp.stack([u[0] - 1.0, u[1] ** 3 / 3.0 - u[1]]))
+        return newton.solve(equations, guess, SIZE, ROTATES, handle, handle.memory(newton))[0]
+
+    found = run(jnp.array([0.5, 1.0 + 5e-10]))
+    assert int(found.result) == SUCCESSFUL
+    np.testing.assert_allclose(found.free, [1.0, np.sqrt(3.0)], atol=1e-8)
+
+
 @pytest.mark.parametrize(
     ("function", "result"),
     [
         (lambda u: jnp.stack([u[0] + u[1] - 1.0, u[0] + u[1] - 2.0]), SINGULAR),
         (lambda u: jnp.stack([u[0] * jnp.nan, u[1]]), DIVERGED),
         (lambda u: jnp.stack([1e-9 * u[0] - 1e7, u[1]]), DIVERGED),
+        (lambda u: jnp.stack([u[0], 1e-9 * u[1] - 1e7]), DIVERGED),
         (lambda u: jnp.stack([u[0] ** 2 + 1.0, u[1]]), STAGNATED),
     ],
-    ids=["singular", "not a number", "far away", "without a root"],
+    ids=["singular", "not a number", "far away", "far turned", "without a root"],
 )
 def test_failures_are_results_with_finite_numbers(function, result):
     newton, handle = Newton(max_iterations=12), linear()

@@ -55,6 +55,18 @@ def test_a_tighter_tolerance_is_more_accurate_and_takes_more_steps():
     assert steps[1] > steps[0]
 
 
+def test_later_steps_may_err_more_unless_the_horizon_is_far():
+    """The same runs at first; towards the end, where errors have little time to act, steps of up to 10^(1/3) times."""
+    scene, sizes = cap(-20.0, [0.0, 2e-4, 1.0]), {}
+    for horizon in (None, float("inf")):
+        control = StepControl(1e-6, 1e-6, output_interval=1.5e-4, horizon=horizon)
+        run = js.simulate(scene, js.EnergyMomentum(), dt=control, t_end=1.5e-4)
+        sizes[horizon] = np.interp([1e-5, 1.4e-4], np.asarray(run.times)[1:], np.asarray(run.step_sizes))
+    first, late = sizes[None] / sizes[float("inf")]
+    assert first == pytest.approx(1.0, abs=0.1)
+    assert 1.3 < late < 10 ** (1 / 3) * 1.4
+
+
 def test_a_step_on_which_newton_fails_is_halved():
     """Two corrections are enough for small steps only: a step of 2e-6 fails, and must not be halved at first."""
     scene, newton = cap(times=[-1.0, 0.0, 1.0], values=[1.0, 1.0, 1.0]), js.Newton(max_iterations=2, reuse=False)
