@@ -7,7 +7,7 @@ part of the window only, since they take minutes; jaxshell's methods are measure
 figures that compare. The picture scales the peers' time to the whole window, which flatters them. Its third panel is the
 number of elements: EMC at the scene's step, the distance from the finest mesh's answer. Writes
 benchmarks/results/work_precision_SCENE.json, and the pictures to docs/pictures. `--beside` takes only the peers and what
-stands beside them anew.
+stands beside them anew, `--only LABEL` only jaxshell's choices of that label.
 """
 
 import argparse
@@ -31,7 +31,7 @@ jax.config.update("jax_enable_x64", True)
 from benchmarks.cases import SCENES, write_case  # noqa: E402
 from benchmarks.workers import HERE, Worker, machine  # noqa: E402
 from jaxshell import references  # noqa: E402
-from jaxshell.chart import Point, chart, configurations, draw, mesh_points, reference_of, write_points  # noqa: E402
+from jaxshell.chart import Point, chart, configurations, draw, mesh_points, plain, reference_of, write_points  # noqa: E402
 from jaxshell.references import Reference, agreement, extrapolate  # noqa: E402
 
 TITLES = {"cap": "Clamped cap", "opened_cap": "Top-opened cap", "plate": "Free plate", "tiny": "Tiny cap"}
@@ -92,15 +92,35 @@ def beside(scene, name: str, reference: Reference, python: str, span: float) -> 
     """Peers and jaxshell's methods on the first `span` of the window."""
     with tempfile.TemporaryDirectory() as folder:
         peers = peer_points(scene, name, reference, python, span, Path(folder))
+    return {"window": span, "points": plain(ours_beside(scene, reference, span) + peers)}
+
+
+def ours_beside(scene, reference: Reference, span: float, only: str = "") -> list[dict]:
+    """jaxshell's methods, of the label `only` if given, on the first `span` of the window."""
     within = reference.times <= span * (1 + 1e-9)
     cut = reference._replace(
         times=reference.times[within], signals={key: value[within] for key, value in reference.signals.items()}
     )
     dt = scene.defaults.dt
-    tried = [c for c in configurations(scene, dt, span) if c.kind in ("method", "step control")]
-    ours, _ = chart(scene, dt, span, tried, reference=cut)
-    points = [p._asdict() for p in ours] + peers
-    return {"window": span, "points": [p | {"error": p["error"] if np.isfinite(p["error"]) else None} for p in points]}
+    tried = [c for c in configurations(scene, dt, span) if c.kind in ("method", "step control") and only in c.label]
+    return [p._asdict() for p in chart(scene, dt, span, tried, reference=cut)[0]]
+
+
+def renew(content: dict, scene, reference: Reference, only: str) -> None:
+    """jaxshell's points of the label `only` in the file's `content`, measured again."""
+
+    def instead(old: list[dict], new: list[dict]) -> list[dict]:
+        return [p for p in old if only not in p["label"]] + plain(new)
+
+    window, dt = float(reference.times[-1]), scene.defaults.dt
+    tried = [c for c in configurations(scene, dt, window) if only in c.label]
+    found = chart(scene, dt, window, tried, reference=reference)[0]
+    content["points"] = instead(content["points"], [p._asdict() for p in found])
+    if content["beside"]:
+        span = content["beside"]["window"]
+        content["beside"]["points"] = instead(
+            content["beside"]["points"], ours_beside(scene, reference, span, only)
+        )
 
 
 def measure(name: str, options: argparse.Namespace) -> None:
@@ -110,7 +130,9 @@ def measure(name: str, options: argparse.Namespace) -> None:
     reference = reference_of(scene, dt, np.inf if options.window is None else options.window, 1e-4)
     window, file = float(reference.times[-1]), options.results / f"work_precision_{name}.json"
     content = json.loads(file.read_text()) if file.is_file() else {}
-    if not options.beside:
+    if options.only:
+        renew(content, scene, reference, options.only)
+    elif not options.beside:
         points, reference = chart(scene, dt, window, reference=reference)
         write_points(file, scene, points + mesh_points(SCENES[name], dt, window), reference)
         content = {"beside": content.get("beside")} | json.loads(file.read_text()) | {"machine": machine()}
@@ -136,6 +158,7 @@ def main() -> int:
     parser.add_argument("scenes", nargs="*", default=["cap", "plate", "opened_cap"])
     parser.add_argument("--peers", help="Python of the environment that has the peers; left out: jaxshell only")
     parser.add_argument("--beside", action="store_true", help="only peers and jaxshell beside them; keep the rest")
+    parser.add_argument("--only", metavar="LABEL", help="only jaxshell's choices of this label; keep the rest")
     parser.add_argument("--window", type=float, help="time covered (default: the reference's)")
     parser.add_argument("--results", type=Path, default=HERE / "results")
     parser.add_argument("--pictures", type=Path, default=ROOT / "docs" / "pictures")

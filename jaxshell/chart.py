@@ -272,9 +272,14 @@ def write_points(path: Path, scene: Scene, points: Sequence[Point], reference: R
         "window": float(reference.times[-1]),
         "reference": reference.origin,
         "uncertainty": reference.uncertainty,
-        "points": [p._asdict() | {"error": p.error if np.isfinite(p.error) else None} for p in points],
+        "points": plain(p._asdict() for p in points),
     }
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def plain(points: Iterable[dict]) -> list[dict]:
+    """Points as JSON has them: without infinities."""
+    return [p | {"error": p["error"] if np.isfinite(p["error"]) else None} for p in points]
 
 
 def pareto(points: Iterable[Point]) -> list[Point]:
