@@ -32,7 +32,7 @@ jax.config.update("jax_enable_x64", True)
 
 CASES = {
     "cap, first swing": (js.scenes.spherical_cap(), 1.26e-4, 3000, (4, 250)),
-    "cap, to 1 ms": (js.scenes.spherical_cap(), 1e-3, 20000, (20, 1000)),
+    "cap, to 1 ms": (js.scenes.spherical_cap(), 1e-3, 20000, (20, 2500)),
     "cap, force over 0.1 ms, to 1 ms": (ramped(js.scenes.spherical_cap(), 1e-4), 1e-3, 20000, (20, 1000)),
     "plate, to 20 ms": (js.scenes.free_plate(), 0.02, 6400, (12, 400)),
     "opened cap, to t = 5": (js.scenes.opened_cap(), 5.0, 4000, (25, 400)),
