@@ -111,7 +111,8 @@ class StepControl(eqx.Module):
         `end` is when the run ends.
         """
         horizon = end if self.horizon is None else self.horizon
-        left = jnp.where(jnp.isinf(horizon), 1.0, (horizon - now.time) / (horizon - now.began))
+        span = horizon - now.began
+        left = jnp.where(jnp.isinf(horizon), 1.0, jnp.where(span > 0, (horizon - now.time) / span, 0.0))
         tolerance = self.tolerance / jnp.maximum(left, _LATE)
         relative = local_error(state.rates[:3, :, :3], dt, now.taken) / size / tolerance
         relative = jnp.where(jnp.isfinite(relative), relative, jnp.inf)

@@ -67,6 +67,24 @@ def test_later_steps_may_err_more_unless_the_horizon_is_far():
     assert 1.3 < late < 10 ** (1 / 3) * 1.4
 
 
+def test_a_run_that_goes_on_after_the_horizon_has_the_late_tolerance():
+    """Ten times the first, as the docstring of `StepControl` says, in all of its steps."""
+    scene = cap(-20.0, [0.0, 2e-4, 1.0])
+    control = StepControl(1e-6, 1e-6, output_interval=3e-5)
+    start = js.simulate(scene, js.EnergyMomentum(), dt=control, t_end=3e-5)
+    after, even = (
+        js.simulate(
+            scene,
+            js.EnergyMomentum(),
+            dt=StepControl(tolerance, 1e-6, output_interval=3e-5, horizon=horizon),
+            t_end=3e-5,
+            restart=start,
+        )
+        for tolerance, horizon in ((1e-6, 1e-5), (1e-5, float("inf")))
+    )
+    np.testing.assert_allclose(after.step_sizes, even.step_sizes, rtol=1e-9)
+
+
 def test_a_step_on_which_newton_fails_is_halved():
     """Two corrections are enough for small steps only: a step of 2e-6 fails, and must not be halved at first."""
     scene, newton = cap(times=[-1.0, 0.0, 1.0], values=[1.0, 1.0, 1.0]), js.Newton(max_iterations=2, reuse=False)
