@@ -1,6 +1,6 @@
 """Every figure of docs/performance.md in one go: `python benchmarks/all.py --peers PYTHON_OF_PEERS`.
 
-About an hour on two quiet cores. Then `python benchmarks/tables.py` writes the tables into docs/performance.md.
+About an hour on two quiet cores. The last script, tables.py, writes the tables into docs/performance.md.
 """
 
 import argparse
