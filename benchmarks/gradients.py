@@ -49,9 +49,7 @@ def deflection(scene, method, dt, steps, gradients=None):
 
     def value(thickness):
         varied = eqx.tree_at(lambda s: s.section.thickness, scene, thickness)
-        run = js.simulate(
-            varied, method, dt=dt, t_end=dt * steps, save_every=steps, gradients=gradients, throw=False
-        )
+        run = js.simulate(varied, method, dt=dt, t_end=dt * steps, save_every=steps, gradients=gradients, throw=False)
         return run.watched[label][-1]
 
     return value
@@ -131,6 +129,10 @@ def batch(steps=100, count=32):
 
 
 if __name__ == "__main__":
-    chosen = [name for name in ("gradient", "memory", "batch") if name in sys.argv[1:]] or ["gradient", "memory", "batch"]
+    chosen = [name for name in ("gradient", "memory", "batch") if name in sys.argv[1:]] or [
+        "gradient",
+        "memory",
+        "batch",
+    ]
     for name in chosen:
         {"gradient": gradient, "memory": memory, "batch": batch}[name]()

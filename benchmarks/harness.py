@@ -110,13 +110,9 @@ def report(results: dict) -> str:
 
 
 def main(arguments=None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", choices=[*STEPS, []], help="default: cap plate opened_cap")
-    parser.add_argument(
-        "--peers", help="Python of the environment that has the peers; left out: jaxshell only"
-    )
+    parser.add_argument("--peers", help="Python of the environment that has the peers; left out: jaxshell only")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--steps", type=int, help="in place of each scene's")

@@ -136,9 +136,7 @@ def in_space(name: str, refine_time: float) -> list[dict]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", default=list(SCENES), choices=list(SCENES))
     parser.add_argument("--meshes", action="store_true", help="refine the mesh too (minutes to an hour)")
     options = parser.parse_args()

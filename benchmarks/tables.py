@@ -64,7 +64,10 @@ def cold_start(found: dict) -> str:
 
 def to_one_percent(results: Path) -> str:
     """The least time to 1 % of each scene's answer, of each method and peer, on the window that all of them cover."""
-    lines = ["| scene | window, s | program | dt, s | error | seconds | times the best |", "|---|---|---|---|---|---|---|"]
+    lines = [
+        "| scene | window, s | program | dt, s | error | seconds | times the best |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for name in ("cap", "plate", "opened_cap"):
         file = results / f"work_precision_{name}.json"
         found = json.loads(file.read_text()).get("beside") if file.is_file() else None

@@ -61,7 +61,9 @@ def against_reference(name, scene_of, meshes, reference, factors, arc_length=Non
 def at_last(scene, path, factor, label) -> float:
     """A watched displacement where the path passes a load factor for the last time: equilibrium at that factor,
     found from the end of the step that passes it."""
-    step = 1 + int(np.flatnonzero((np.asarray(path.times)[:-1] - factor) * (np.asarray(path.times)[1:] - factor) <= 0)[-1])
+    step = 1 + int(
+        np.flatnonzero((np.asarray(path.times)[:-1] - factor) * (np.asarray(path.times)[1:] - factor) <= 0)[-1]
+    )
     start = js.Initial(displacements=path.displacements[step], rotations=path.rotations[step])
     there = dataclasses.replace(scene, initial=start)
     return float(js.solve_static(there, [factor]).watched[label][-1])
@@ -128,7 +130,9 @@ def pinched_cylinder() -> str:
 def pinched_semi_cylinder() -> str:
     reference = {"A": {0.1: -16.100, 0.3: -66.410, 0.5: -132.653, 1.0: -171.505}}
     meshes = [(16, 16), (24, 24), (32, 32), (40, 40)]
-    return against_reference("pinched semi-cylinder", scenes.pinched_semi_cylinder, meshes, reference, np.arange(1, 41) / 40)
+    return against_reference(
+        "pinched semi-cylinder", scenes.pinched_semi_cylinder, meshes, reference, np.arange(1, 41) / 40
+    )
 
 
 def hemisphere() -> str:
@@ -235,7 +239,9 @@ def first_edge() -> str:
             for shift in range(3):
                 turned = js.Mesh(scene.mesh.nodes, np.roll(scene.mesh.triangles, -shift, axis=1))
                 watch = {label: (node, component) for label, node, component in scene.watch}
-                run = js.solve_static(js.Scene(turned, scene.section, scene.supports, scene.loads, watch=watch), factors)
+                run = js.solve_static(
+                    js.Scene(turned, scene.section, scene.supports, scene.loads, watch=watch), factors
+                )
                 found.append(answer(run))
             change = "" if last is None else short(abs(found[0] - last) / abs(found[0]))
             answers = ", ".join(f"{value / unit:#.6g}" for value in found)

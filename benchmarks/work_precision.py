@@ -118,9 +118,7 @@ def renew(content: dict, scene, reference: Reference, only: str) -> None:
     content["points"] = instead(content["points"], [p._asdict() for p in found])
     if content["beside"]:
         span = content["beside"]["window"]
-        content["beside"]["points"] = instead(
-            content["beside"]["points"], ours_beside(scene, reference, span, only)
-        )
+        content["beside"]["points"] = instead(content["beside"]["points"], ours_beside(scene, reference, span, only))
 
 
 def measure(name: str, options: argparse.Namespace) -> None:

@@ -145,18 +145,14 @@ class _Search:
         for _ in range(_FINEST):
             dt *= 0.5
             if self.best is not None and 1.5 * point.seconds > self.best[0].seconds:
-                self.given_up[label] = (
-                    f"at dt = {2 * dt:.3g} its error is {point.error:.1e} and it is no cheaper"
-                )
+                self.given_up[label] = f"at dt = {2 * dt:.3g} its error is {point.error:.1e} and it is no cheaper"
                 return
             point = self.attempt(Configuration("method", label, method, dt))
             if point.error <= self.goal:
                 return
             stuck = np.isfinite(point.error) and point.error > 0.9 * last and point.error > 3 * self.goal
             if stuck and last < 0.1:
-                self.given_up[label] = (
-                    f"its error does not fall below {point.error:.1e}: it models something else"
-                )
+                self.given_up[label] = f"its error does not fall below {point.error:.1e}: it models something else"
                 return
             last = point.error
         self.given_up[label] = f"at dt = {dt:.3g} its error is still {point.error:.1e}"
@@ -232,9 +228,7 @@ class _Search:
         if isinstance(best.method, methods.GeneralizedEnergyMomentum):
             change = inertia_change(self.scene, best, self.reference)
             left_out = best.method.inertia == "none"
-            verdict = (
-                "left out" if left_out else ("could be left out" if change <= 0.1 * self.goal else "kept")
-            )
+            verdict = "left out" if left_out else ("could be left out" if change <= 0.1 * self.goal else "kept")
             reasons.append(f"rotary inertia changes the answer by {change:.1e}: {verdict}")
         return reasons
 
@@ -247,9 +241,7 @@ class _Search:
         exact = self.best[0]
         for tolerance in (1e-6, 1e-4, 1e-3):
             before = self.best
-            tried = before[1]._replace(
-                newton=Newton(tolerance), label=f"{exact.label}, Newton to {tolerance:g}"
-            )
+            tried = before[1]._replace(newton=Newton(tolerance), label=f"{exact.label}, Newton to {tolerance:g}")
             point = self.attempt(tried)
             if self.best is before:
                 why = f"error {point.error:.1e}" if point.error > self.goal else "no cheaper"

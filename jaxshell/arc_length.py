@@ -95,9 +95,7 @@ def solve_arc_length(
     if not scene.loads and all(support.displacement is None for support in scene.supports):
         raise ValueError(_NO_PATH)
     if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, newton, arc_length))):
-        raise ValueError(
-            "solve_arc_length chooses its steps as it goes and cannot be traced: use solve_static."
-        )
+        raise ValueError("solve_arc_length chooses its steps as it goes and cannot be traced: use solve_static.")
     check_supported(scene)
     linear_solver = default_solver() if linear_solver is None else linear_solver
     tables, pattern = analyse(structure_of(scene))
@@ -105,9 +103,7 @@ def solve_arc_length(
     (newton,) = _floats_to_arrays((newton,))
     choices = Choices(tangent, linear_solver, save_every, scene.watch)
     with Progress(steps=steps, enabled=progress) as bar:
-        solution = _driven(
-            scene, newton, tables, handle, choices, arc_length, steps, max_load_factor, output, bar
-        )
+        solution = _driven(scene, newton, tables, handle, choices, arc_length, steps, max_load_factor, output, bar)
     if throw and solution.message:
         raise SimulationError(solution.message, solution)
     return solution
@@ -195,9 +191,7 @@ def _advance(model: Model, newton: Newton, handle, choices: Choices, state: Stat
     return state, u[:, :3], result, record, program.frame(model, state)
 
 
-def _driven(
-    scene, newton, tables, handle, choices, arc_length, steps, max_load_factor, output, bar
-) -> Solution:
+def _driven(scene, newton, tables, handle, choices, arc_length, steps, max_load_factor, output, bar) -> Solution:
     begun = time.perf_counter()
     model, carry, record, frame = program.prepare(proportional(scene), Static(), newton, tables, handle, choices)
     state, previous = carry.state, jnp.zeros_like(carry.state.d)

@@ -133,9 +133,7 @@ def make_reference(
         # One extrapolation is known to about its distance from the run; two, to their distance from each other.
         before = runs[-1] if len(runs) < 3 else extrapolate(runs[-3], runs[-2])
         uncertainty = float(agreement(times, before, second)[-1]) / (1 if len(runs) < 3 else 15)
-        found = Reference(
-            times, second, uncertainty, f"EnergyMomentum to dt = {dt / 2**level:.3g}, extrapolated"
-        )
+        found = Reference(times, second, uncertainty, f"EnergyMomentum to dt = {dt / 2**level:.3g}, extrapolated")
         say(f"  reference: dt = {dt / 2**level:.3g}, known to {uncertainty:.1e}")
         if uncertainty <= target:
             break
@@ -319,9 +317,7 @@ def draw(title: str, points: Sequence[Point], peers: Sequence[Point] = (), floor
                 solid_capstyle="round", label="best of all (Pareto front)",
             )  # fmt: skip
             if floor:
-                axes.axhline(
-                    floor, color="0.5", linewidth=0.8, linestyle=":", label="reference's uncertainty"
-                )
+                axes.axhline(floor, color="0.5", linewidth=0.8, linestyle=":", label="reference's uncertainty")
             axes.set(xscale="log", yscale="log", xlabel="Time of the run in s")
         over_steps = ("method", "step control")
         methods_ = list(dict.fromkeys(p.label for p in points if p.kind in over_steps))

@@ -45,9 +45,7 @@ def _parser() -> argparse.ArgumentParser:
 
     run = commands.add_parser("run", help="run a scene; write its results and pictures")
     run.set_defaults(command=_run)
-    run.add_argument(
-        "scene", metavar="SCENE", help="a scene's name (see `jaxshell scenes`), a .toml or .h5 file"
-    )
+    run.add_argument("scene", metavar="SCENE", help="a scene's name (see `jaxshell scenes`), a .toml or .h5 file")
     run.add_argument(
         "--method",
         nargs="+",
@@ -66,9 +64,7 @@ def _parser() -> argparse.ArgumentParser:
         "--divisions", type=int, nargs="+", metavar="N", help="divisions of the mesh (library scenes only)"
     )
     run.add_argument("--t-end", type=float, help="duration (default: the scene's)")
-    run.add_argument(
-        "--save-every", type=int, metavar="N", help="steps between frames (default: the scene's)"
-    )
+    run.add_argument("--save-every", type=int, metavar="N", help="steps between frames (default: the scene's)")
     run.add_argument("--spectral-radius", type=float, metavar="RHO", help="in place of the method's")
     run.add_argument("--dissipation", type=float, metavar="XI", help="in place of the method's")
     run.add_argument("--tangent", choices=("closed_form", "autodiff"), help="default: closed_form")
@@ -83,9 +79,7 @@ def _parser() -> argparse.ArgumentParser:
         action=argparse.BooleanOptionalAction,
         help="keep factors over iterations and steps while they serve (default: yes)",
     )
-    run.add_argument(
-        "--output", type=Path, default=Path("."), metavar="DIR", help="where files go (default: here)"
-    )
+    run.add_argument("--output", type=Path, default=Path("."), metavar="DIR", help="where files go (default: here)")
     run.add_argument(
         "--continue",
         dest="go_on",
@@ -98,25 +92,15 @@ def _parser() -> argparse.ArgumentParser:
     plot = commands.add_parser("plot", help="draw result files, several of them together")
     plot.set_defaults(command=_plot)
     plot.add_argument("files", nargs="+", type=Path, metavar="FILE.h5")
-    plot.add_argument(
-        "--output", type=Path, metavar="DIR", help="where pictures go (default: beside the file)"
-    )
+    plot.add_argument("--output", type=Path, metavar="DIR", help="where pictures go (default: beside the file)")
 
-    chart = commands.add_parser(
-        "chart", help="draw error against time for every choice, and the best of them"
-    )
+    chart = commands.add_parser("chart", help="draw error against time for every choice, and the best of them")
     chart.set_defaults(command=_chart)
-    chart.add_argument(
-        "--output", type=Path, default=Path("."), metavar="DIR", help="where files go (default: here)"
-    )
+    chart.add_argument("--output", type=Path, default=Path("."), metavar="DIR", help="where files go (default: here)")
     advise = commands.add_parser("advise", help="find the cheapest way to run a scene to a tolerance")
     advise.set_defaults(command=_advise)
-    advise.add_argument(
-        "--tolerance", type=float, default=1e-2, help="relative error allowed (default: 0.01)"
-    )
-    advise.add_argument(
-        "--output", type=Path, metavar="FILE", help="write the scene file's [run] section here too"
-    )
+    advise.add_argument("--tolerance", type=float, default=1e-2, help="relative error allowed (default: 0.01)")
+    advise.add_argument("--output", type=Path, metavar="FILE", help="write the scene file's [run] section here too")
     for command in (chart, advise):
         command.add_argument("scene", metavar="SCENE", help="a scene's name, a .toml or .h5 file")
         command.add_argument("--dt", type=float, help="step to start from (default: the scene's)")

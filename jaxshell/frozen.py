@@ -29,9 +29,7 @@ class Frozen:
         return self._hash
 
     def __eq__(self, other) -> bool:
-        return self is other or (
-            isinstance(other, Frozen) and self._hash == other._hash and self._key == other._key
-        )
+        return self is other or (isinstance(other, Frozen) and self._hash == other._hash and self._key == other._key)
 
     def __array__(self, dtype=None, copy=None) -> np.ndarray:
         """What `np.asarray` gives; a copy where the type asked for is another."""

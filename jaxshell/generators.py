@@ -47,9 +47,7 @@ def spherical_cap(radius, half_angle, divisions) -> Mesh:
     # Squares |s|, |t| = const become circles, and each quarter of a square's outline a quarter of the circle.
     with np.errstate(divide="ignore", invalid="ignore"):
         across = np.where(np.abs(s) >= np.abs(t), t / s, s / t) * math.pi / 4
-    azimuth = np.where(
-        np.abs(s) >= np.abs(t), across + math.pi * (s < 0), math.pi / 2 - across + math.pi * (t < 0)
-    )
+    azimuth = np.where(np.abs(s) >= np.abs(t), across + math.pi * (s < 0), math.pi / 2 - across + math.pi * (t < 0))
     azimuth = np.where(polar == 0, 0.0, azimuth)
     return Mesh(_on_sphere(radius, polar, azimuth), structured_triangles(2 * count, 2 * count))
 
@@ -62,12 +60,8 @@ def spherical_zone(radius, top, bottom, divisions) -> Mesh:
     around, rows = _counts("spherical_zone", divisions, (3, 1))
     _positive(radius=radius, top=top)
     if not top < bottom < 180:
-        raise ValueError(
-            f"Angles must fulfil 0 < top < bottom < 180 degrees, but are top {top}, bottom {bottom}."
-        )
-    polar, azimuth = _grid(
-        np.radians(np.linspace(top, bottom, rows + 1)), 2 * math.pi * np.arange(around) / around
-    )
+        raise ValueError(f"Angles must fulfil 0 < top < bottom < 180 degrees, but are top {top}, bottom {bottom}.")
+    polar, azimuth = _grid(np.radians(np.linspace(top, bottom, rows + 1)), 2 * math.pi * np.arange(around) / around)
     return Mesh(_on_sphere(radius, polar, azimuth), structured_triangles(rows, around, periodic=True))
 
 
@@ -88,9 +82,7 @@ def _counts(shape: str, divisions, least: tuple[int, ...]) -> list[int]:
     counts = np.atleast_1d(divisions)
     if len(counts) != len(least) or counts.dtype.kind != "i" or np.any(counts < least):
         wanted = " and ".join(str(n) for n in least)
-        raise ValueError(
-            f"divisions of a {shape} must be whole numbers of at least {wanted}, but are {divisions!r}."
-        )
+        raise ValueError(f"divisions of a {shape} must be whole numbers of at least {wanted}, but are {divisions!r}.")
     return [int(n) for n in counts]
 
 

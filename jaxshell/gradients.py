@@ -75,9 +75,7 @@ class Checkpointed(Gradients):
 
     def __check_init__(self):
         if not isinstance(self.levels, int | np.integer) or self.levels < 1:
-            raise ValueError(
-                f"Checkpointed levels must be a whole number of at least 1, but it is {self.levels!r}."
-            )
+            raise ValueError(f"Checkpointed levels must be a whole number of at least 1, but it is {self.levels!r}.")
 
     def segments(self, steps: int) -> tuple[int, ...]:
         parts = (round(steps ** (k / (self.levels + 1))) for k in range(1, self.levels + 1))

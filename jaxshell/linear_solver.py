@@ -165,9 +165,7 @@ class Pardiso(LinearSolver):
 
     def solve(self, handle, factorization, values, rhs, transpose=False):
         _check_values(handle, values)
-        return _mappable(_pardiso_call, "solve_stateful", transpose)(
-            factorization, handle, values, rhs[None]
-        )[0][0]
+        return _mappable(_pardiso_call, "solve_stateful", transpose)(factorization, handle, values, rhs[None])[0][0]
 
     def _solve_once(self, handle, values, rhs, transpose):
         _check_values(handle, values)
@@ -200,9 +198,7 @@ class KLU(LinearSolver):
     # 12150 unknowns takes 130 ms of 400. Shapes: values (1, m), rhs (1, n, number of right-hand sides).
     def factor_and_solve(self, handle, values, rhs, transpose=False):
         _check_values(handle, values)
-        x, numeric = _mappable(_klu_call, "refactor_and_solve", False)(
-            handle.native, handle, values, rhs[None]
-        )
+        x, numeric = _mappable(_klu_call, "refactor_and_solve", False)(handle.native, handle, values, rhs[None])
         if transpose:
             x = _mappable(_klu_call, "solve_with_numeric", True)(
                 (handle.native[0], numeric), handle, values, rhs[None]
@@ -216,9 +212,7 @@ class KLU(LinearSolver):
 
     def _solve_once(self, handle, values, rhs, transpose):
         _check_values(handle, values)
-        return _mappable(_klu_call, "solve_with_symbol", transpose)(handle.native, handle, values, rhs[None])[
-            0
-        ][0]
+        return _mappable(_klu_call, "solve_with_symbol", transpose)(handle.native, handle, values, rhs[None])[0][0]
 
 
 class Dense(LinearSolver):

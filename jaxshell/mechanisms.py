@@ -24,9 +24,7 @@ def check_supported(scene: Scene) -> None:
         members = np.flatnonzero(part == k)
         motions = free_motions(nodes, members, scene.held_dofs)
         if motions:
-            which = (
-                "the shell" if count == 1 else f"the part of the shell with node {members[0]} ({count} parts)"
-            )
+            which = "the shell" if count == 1 else f"the part of the shell with node {members[0]} ({count} parts)"
             raise ValueError(
                 f"The supports leave {which} free to move as a rigid body: {'; '.join(motions)}. "
                 "Hold these motions; a shell without supports moves and vibrates, but has no static answer."
@@ -36,9 +34,7 @@ def check_supported(scene: Scene) -> None:
 def connected_parts(triangles: np.ndarray, n_nodes: int) -> tuple[int, np.ndarray]:
     """How many parts of a mesh no element connects, and the part (n,) of each node."""
     ends = triangles.ravel(), np.roll(triangles, 1, axis=1).ravel()
-    return connected_components(
-        coo_matrix((np.ones(triangles.size), ends), (n_nodes, n_nodes)), directed=False
-    )
+    return connected_components(coo_matrix((np.ones(triangles.size), ends), (n_nodes, n_nodes)), directed=False)
 
 
 def free_motions(nodes: np.ndarray, members: np.ndarray, held_dofs: np.ndarray) -> list[str]:

@@ -251,8 +251,18 @@ class Newton(eqx.Module):
         if self.reuse:
             memory = eqx.tree_at(lambda m: m.stale, memory, memory.stale | full)
         start = _Carry(
-            guess, jnp.zeros_like(guess), jnp.array(False), zero, zero, zero,
-            jnp.array(jnp.inf), jnp.array(0.0), memory, jnp.array(False), jnp.array(False), full,
+            guess,
+            jnp.zeros_like(guess),
+            jnp.array(False),
+            zero,
+            zero,
+            zero,
+            jnp.array(jnp.inf),
+            jnp.array(0.0),
+            memory,
+            jnp.array(False),
+            jnp.array(False),
+            full,
             jnp.array(False),
         )
         limit = self.max_iterations * (2 if self.reuse else 1)

@@ -157,9 +157,7 @@ def run_whole(
         recorded = record(model, method, state, choices, info.iterations, info.factorizations, good)
         return Carry(state, memory, result), recorded
 
-    return scan_steps(
-        gradients, one, lambda carry: frame(model, carry.state), carry, steps, choices.save_every
-    )
+    return scan_steps(gradients, one, lambda carry: frame(model, carry.state), carry, steps, choices.save_every)
 
 
 class Attempts(NamedTuple):

@@ -10,8 +10,10 @@ import numpy as np
 
 def quote(module) -> str:
     """Name and arguments of a method, of Newton or of a step control, floats as numbers."""
-    values = (f"{name}={value!r}" if isinstance(value, float) else f"{name}={value}" for name, value in
-              ((name, float(v) if isinstance(v, jax.Array) else v) for name, v in vars(module).items()))
+    values = (
+        f"{name}={value!r}" if isinstance(value, float) else f"{name}={value}"
+        for name, value in ((name, float(v) if isinstance(v, jax.Array) else v) for name, v in vars(module).items())
+    )
     return f"{type(module).__name__}({', '.join(values)})"
 
 

@@ -126,9 +126,7 @@ def shipped_reference(scene: Scene) -> Reference | None:
     if not file.is_file():
         return None
     with file.open("rb") as opened, np.load(opened) as stored:
-        if stored["fingerprint"].shape != (7,) or not np.allclose(
-            stored["fingerprint"], fingerprint(scene), rtol=1e-9
-        ):
+        if stored["fingerprint"].shape != (7,) or not np.allclose(stored["fingerprint"], fingerprint(scene), rtol=1e-9):
             return None
         named = {name[7:]: stored[name] for name in stored.files if name.startswith("signal ")}
         return Reference(stored["times"], named, float(stored["uncertainty"]), str(stored["origin"]))
@@ -140,8 +138,7 @@ def fingerprint(scene: Scene) -> Float[np.ndarray, "7"]:
     section = scene.section.per_element(scene.mesh.n_elements)
     area = 2.0 * triangle_areas(x0, triangles)  # The files were made with twice the areas.
     h, E, nu, rho = (
-        np.asarray(getattr(section, name))
-        for name in ("thickness", "young_modulus", "poisson_ratio", "density")
+        np.asarray(getattr(section, name)) for name in ("thickness", "young_modulus", "poisson_ratio", "density")
     )
     load = sum(
         np.abs(load.nodal(scene.mesh.nodes, triangles, rho * h)).sum() * np.abs(load.history.values).sum()

@@ -108,9 +108,7 @@ def wanted(options: argparse.Namespace, settings: dict, scene, key: str):
             return value
     if key == "save_every":
         return 1
-    raise ValueError(
-        f"The scene gives no {key}: add --{key.replace('_', '-')}, or {key} in the file's [run]."
-    )
+    raise ValueError(f"The scene gives no {key}: add --{key.replace('_', '-')}, or {key} in the file's [run].")
 
 
 def chosen_methods(options: argparse.Namespace, settings: dict, scene) -> dict[str, Any]:

@@ -111,9 +111,7 @@ def _support(table: "_Table", mesh: Mesh) -> Support:
     if isinstance(hold, str):
         if hold not in _HOLD:
             choices = ", ".join(repr(name) for name in _HOLD)
-            raise ValueError(
-                f"{table.name} hold must be one of {choices} or a list of freedoms, but it is {hold!r}."
-            )
+            raise ValueError(f"{table.name} hold must be one of {choices} or a list of freedoms, but it is {hold!r}.")
         hold = _HOLD[hold]
     displacement = table.content.get("displacement")
     return table.call(Support, _nodes(table, mesh), hold, displacement, _history(table))
@@ -134,9 +132,7 @@ def _load(table: "_Table", mesh: Mesh) -> Load:
         edges = mesh.boundary_edges()
         where = edges[np.isin(edges, where).all(axis=1)]
         if not len(where):
-            raise ValueError(
-                f"{table.name} No edge of the mesh's boundary has both its ends among the chosen nodes."
-            )
+            raise ValueError(f"{table.name} No edge of the mesh's boundary has both its ends among the chosen nodes.")
     return table.call(kind, where, table.get(value), _history(table))
 
 
@@ -211,9 +207,7 @@ def _nodes(table: "_Table", mesh: Mesh) -> np.ndarray:
             mask = np.all((x >= low - tolerance) & (x <= high + tolerance), axis=1)
         else:
             if table.get(name) is not True:
-                raise ValueError(
-                    f"{table.name} boundary must be true or left out, but it is {table.get(name)!r}."
-                )
+                raise ValueError(f"{table.name} boundary must be true or left out, but it is {table.get(name)!r}.")
             mask = np.isin(np.arange(len(x)), mesh.boundary_edges())
         chosen &= mask
     if not chosen.any():
@@ -222,9 +216,7 @@ def _nodes(table: "_Table", mesh: Mesh) -> np.ndarray:
 
 
 def _span(x: np.ndarray) -> str:
-    return ", ".join(
-        f"{a} {low:g} to {high:g}" for a, low, high in zip("xyz", x.min(0), x.max(0), strict=True)
-    )
+    return ", ".join(f"{a} {low:g} to {high:g}" for a, low, high in zip("xyz", x.min(0), x.max(0), strict=True))
 
 
 class _Table:

@@ -123,9 +123,7 @@ def solve_static(
     choices = Choices(tangent, linear_solver, save_every, scene.watch)
     if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, newton, factors))):
         if output is not None or progress:
-            raise ValueError(
-                "output= and progress= need a run that is not traced by jax.grad, jax.vmap or jax.jit."
-            )
+            raise ValueError("output= and progress= need a run that is not traced by jax.grad, jax.vmap or jax.jit.")
         steps = jnp.diff(jnp.asarray(factors), prepend=0.0)
         run = Run(proportional(scene), Static(), as_arrays, tables, handle, choices)
         return eqx.tree_at(lambda s: s.scene, _traced_run(run, steps, None, Stored(), throw), scene)
@@ -235,9 +233,7 @@ class Log:
         return stats
 
     def solution(self, state, code: int, message: str, stats: Stats) -> Solution:
-        record, frame = (
-            jax.tree.map(lambda *a: np.concatenate(a), *parts) for parts in (self.records, self.frames)
-        )
+        record, frame = (jax.tree.map(lambda *a: np.concatenate(a), *parts) for parts in (self.records, self.frames))
         result = _results()[code]
         return _solution(self.scene, record, frame, state, result, message, stats, jnp.asarray)
 

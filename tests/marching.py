@@ -89,7 +89,13 @@ def steps_of(scene, method, dt, tables, handle) -> March:
     first = method.start(model, scene, 0.0)
 
     def state_of(state):
-        return method.observe(model, state), state.x, state.R, model.dead_load(state.time), model.pressure(state.time)[0]
+        return (
+            method.observe(model, state),
+            state.x,
+            state.R,
+            model.dead_load(state.time),
+            model.pressure(state.time)[0],
+        )
 
     def unit_pressure(x):
         return model.assemble_vector(jax.vmap(pressure_force, (0, None))(model.gather(x), 1.0))

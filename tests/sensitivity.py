@@ -93,10 +93,7 @@ def directions(p: dict) -> dict:
     rng = np.random.default_rng(3)
     return {
         name: jnp.stack(
-            [
-                jnp.asarray(rng.standard_normal(np.shape(v)) if other == name else np.zeros(np.shape(v)))
-                for other in p
-            ]
+            [jnp.asarray(rng.standard_normal(np.shape(v)) if other == name else np.zeros(np.shape(v))) for other in p]
         )
         for name, v in p.items()
     }
@@ -105,8 +102,7 @@ def directions(p: dict) -> dict:
 def products(gradient: dict, directions: dict) -> dict[str, float]:
     """⟨gradient, direction⟩ for each parameter."""
     return {
-        name: float(sum(np.sum(gradient[k] * directions[k][i]) for k in gradient))
-        for i, name in enumerate(directions)
+        name: float(sum(np.sum(gradient[k] * directions[k][i]) for k in gradient)) for i, name in enumerate(directions)
     }
 
 

@@ -199,7 +199,7 @@ def test_cheapest_that_meets_the_tolerance(pretend):
         "dt = 0.5 would miss",
         "Newton to 1e-06 is enough",
         "Newton to 0.0001 instead of 1e-06: error 3.7e-01",
-        'js.GeneralizedEnergyMomentum(inertia=\'none\'), dt=0.25, t_end=..., newton=js.Newton(tolerance=1e-06))',
+        "js.GeneralizedEnergyMomentum(inertia='none'), dt=0.25, t_end=..., newton=js.Newton(tolerance=1e-06))",
     ):
         assert words in text
     # Dear methods are given up before they are refined to the end.

@@ -92,12 +92,22 @@ def test_rerun_of_a_result_file_gives_the_same(finished):
 
 
 @pytest.mark.parametrize(
-    "method", ["EDMC1", "exact", *(pytest.param(m, marks=pytest.mark.slow) for m in ("newmark", "bathe", "centraldifference"))]
+    "method",
+    ["EDMC1", "exact", *(pytest.param(m, marks=pytest.mark.slow) for m in ("newmark", "bathe", "centraldifference"))],
 )
 def test_a_run_goes_on_from_its_file(method, finished, tmp_path):
     """In two halves the run that one makes in one go, by every kind of state."""
     dt = ["--dt", "1e-4", "--t-end"] if method == "centraldifference" else ["--t-end"]
-    run = ["run", str(finished / "strip.toml"), "--method", method, "--no-plots", "--quiet", "--newton-tolerance", "1e-12"]
+    run = [
+        "run",
+        str(finished / "strip.toml"),
+        "--method",
+        method,
+        "--no-plots",
+        "--quiet",
+        "--newton-tolerance",
+        "1e-12",
+    ]
     assert main([*run, *dt, "0.2", "--output", str(tmp_path / "whole")]) == 0
     assert main([*run, *dt, "0.1", "--output", str(tmp_path)]) == 0
     go_on = ["run", str(tmp_path / "strip.h5"), "--continue", "--no-plots", "--quiet", "--output", str(tmp_path)]
@@ -180,9 +190,7 @@ def test_plot_of_several_files(finished, capsys):
 
 
 def test_failed_run_keeps_its_steps_and_says_so(finished, capsys):
-    (finished / "wild.toml").write_text(
-        STRIP.replace("[0, 0, 1]", "[0, 0, 1e9]").replace("dt = 0.01", "dt = 0.1")
-    )
+    (finished / "wild.toml").write_text(STRIP.replace("[0, 0, 1]", "[0, 0, 1e9]").replace("dt = 0.01", "dt = 0.1"))
     assert main(["run", str(finished / "wild.toml"), "--output", str(finished / "wild")]) == 1
     error = capsys.readouterr().err
     assert error.startswith("jaxshell: EMC failed. Step ") and "Reduce the time step" in error
@@ -239,7 +247,11 @@ def test_one_thread_for_a_small_mesh_only():
         "f(*sys.argv[1:]); print(os.environ.get('NPROC'))"
     )
     bare = {key: value for key, value in os.environ.items() if key != "NPROC"}
-    for name, environment, expected in (("cap", bare, "1"), ("opened_cap", bare, "None"), ("cap", bare | {"NPROC": "2"}, "2")):
+    for name, environment, expected in (
+        ("cap", bare, "1"),
+        ("opened_cap", bare, "None"),
+        ("cap", bare | {"NPROC": "2"}, "2"),
+    ):
         command = [sys.executable, "-c", program, name]
         found = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
         assert found.stdout.strip() == expected

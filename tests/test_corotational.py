@@ -127,9 +127,7 @@ def paper_H(theta):
     if angle == 0:
         return np.eye(3)
     return (
-        np.eye(3)
-        - 0.5 * skew(theta)
-        + (1 - 0.5 * angle / np.tan(0.5 * angle)) / angle**2 * skew(theta) @ skew(theta)
+        np.eye(3) - 0.5 * skew(theta) + (1 - 0.5 * angle / np.tan(0.5 * angle)) / angle**2 * skew(theta) @ skew(theta)
     )
 
 

@@ -230,8 +230,7 @@ def test_rotary_inertia_of_a_thin_shell_is_a_correction(inertia, flights):
 def test_autodiff_and_closed_form_give_the_same_run():
     """With ρ∞ < 1 and ξ > 0, fifty steps to a tenth of a second."""
     closed, autodiff = (
-        run(plate(pulse=1.0), METHODS["both"], 0.002, 0.1, tangent=tangent)
-        for tangent in ("closed_form", "autodiff")
+        run(plate(pulse=1.0), METHODS["both"], 0.002, 0.1, tangent=tangent) for tangent in ("closed_form", "autodiff")
     )
     scale = np.abs(np.asarray(closed.displacements)).max()
     np.testing.assert_allclose(autodiff.displacements, closed.displacements, atol=1e-10 * scale)

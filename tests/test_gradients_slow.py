@@ -39,9 +39,7 @@ def check(value, p):
 def test_methods(name):
     def value(p):
         steps = DT * (1 + p["dt"])
-        return measure(
-            js.simulate(shell(p), METHODS[name], dt=steps, newton=NEWTON, save_every=STEPS, throw=False)
-        )
+        return measure(js.simulate(shell(p), METHODS[name], dt=steps, newton=NEWTON, save_every=STEPS, throw=False))
 
     check(value, parameters())
 
@@ -51,27 +49,21 @@ def test_central_difference():
     del p["dt"]
 
     def value(p):
-        return measure(
-            js.simulate(shell(p), js.CentralDifference(), dt=5e-9, t_end=1e-7, save_every=20, throw=False)
-        )
+        return measure(js.simulate(shell(p), js.CentralDifference(), dt=5e-9, t_end=1e-7, save_every=20, throw=False))
 
     check(value, p)
 
 
 def test_statics():
     p = {
-        k: v
-        for k, v in parameters().items()
-        if k not in ("dt", "velocities", "history", "support_history", "density")
+        k: v for k, v in parameters().items() if k not in ("dt", "velocities", "history", "support_history", "density")
     }
 
     def value(p):
         # The shell snaps through at 0.087 of its loads (`solve_static` says where it could not go on).
         solution = js.solve_static(shell(p, load=0.075), [0.3, 0.7, 1.0], throw=False)
         reactions = js.reactions(solution)[-1]
-        return (
-            1e3 * jnp.sum(solution.displacements[-1]) + jnp.sum(reactions) + jnp.sum(solution.energy.strain)
-        )
+        return 1e3 * jnp.sum(solution.displacements[-1]) + jnp.sum(reactions) + jnp.sum(solution.energy.strain)
 
     check(value, p)
 
@@ -84,9 +76,7 @@ def test_frequencies():
     }
 
     def value(p):
-        return (
-            jnp.sum(js.natural_frequencies(shell(p), count=3).frequencies * jnp.array([1.0, 0.5, 0.25])) / 1e4
-        )
+        return jnp.sum(js.natural_frequencies(shell(p), count=3).frequencies * jnp.array([1.0, 0.5, 0.25])) / 1e4
 
     check(value, p)
 
@@ -127,9 +117,7 @@ def test_through_buckling(method):
     assert difference_error(lambda c: adjoint(c)[0], at, along, back, steps) < 1e-6
 
 
-@pytest.mark.parametrize(
-    "method", [js.GeneralizedEnergyMomentum(), js.EnergyMomentum(), js.EnergyMomentum(0.05)]
-)
+@pytest.mark.parametrize("method", [js.GeneralizedEnergyMomentum(), js.EnergyMomentum(), js.EnergyMomentum(0.05)])
 def test_a_free_plate_at_rest(method):
     """Nothing deforms and nothing turns: |Δπ|² = 0 in every element, zero rotations, nodes without load."""
     with jax.ensure_compile_time_eval():
@@ -151,9 +139,7 @@ def test_a_free_plate_at_rest(method):
     np.testing.assert_allclose(np.sum(gradients[2]), 2e-4 * rest.size, rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "kept", [Checkpointed(), Checkpointed(levels=2), Checkpointed(keep_increments=False)]
-)
+@pytest.mark.parametrize("kept", [Checkpointed(), Checkpointed(levels=2), Checkpointed(keep_increments=False)])
 def test_checkpoints_change_nothing(kept):
     p = parameters()
 
@@ -207,9 +193,9 @@ def test_gradients_of_batches():
     def depth(load):
         varied = eqx.tree_at(lambda s: s.loads[0].force, cap, cap.loads[0].force * load)
         method = js.GeneralizedEnergyMomentum()
-        return js.simulate(
-            varied, method, dt=0.02, t_end=0.2, save_every=10, newton=NEWTON, throw=False
-        ).watched["A"][-1]
+        return js.simulate(varied, method, dt=0.02, t_end=0.2, save_every=10, newton=NEWTON, throw=False).watched["A"][
+            -1
+        ]
 
     loads = jnp.array([0.5, 1.0, 2.0])
     single = jnp.stack([jax.jit(jax.grad(depth))(load) for load in loads])
@@ -226,9 +212,7 @@ def test_a_traced_failure_raises_with_values_and_with_gradients():
     def depth(load):
         varied = eqx.tree_at(lambda s: s.loads[0].force, cap, cap.loads[0].force * load)
         newton = js.Newton(max_iterations=2)
-        return js.simulate(varied, js.GeneralizedEnergyMomentum(), dt=0.5, t_end=2.0, newton=newton).watched[
-            "A"
-        ][-1]
+        return js.simulate(varied, js.GeneralizedEnergyMomentum(), dt=0.5, t_end=2.0, newton=newton).watched["A"][-1]
 
     for function in (jax.jit(depth), jax.jit(jax.grad(depth))):
         with pytest.raises(Exception, match="did not reach the tolerance within max_iterations"):

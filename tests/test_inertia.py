@@ -53,9 +53,7 @@ def test_seven_points_integrate_polynomials_of_degree_five():
 def newmark(Theta, Omega, Omega_dot, factors: StepFactors):
     """Angular velocity and acceleration at the end of the step, eqs. (13), (14)."""
     beta, gamma, _, _, dt = factors
-    first = (
-        gamma / (beta * dt) * Theta - (gamma / beta - 1) * Omega - (gamma / (2 * beta) - 1) * dt * Omega_dot
-    )
+    first = gamma / (beta * dt) * Theta - (gamma / beta - 1) * Omega - (gamma / (2 * beta) - 1) * dt * Omega_dot
     return first, Theta / (beta * dt**2) - Omega / (beta * dt) - (1 / (2 * beta) - 1) * Omega_dot
 
 
@@ -110,11 +108,7 @@ def test_K_Dyn_is_eq_51():
     R_n, R = np.asarray(one.R), np.asarray(rotations.exp(theta) @ one.R)
     H = np.asarray(rotations.H(theta))
     Theta = R_n.T @ np.asarray(theta)
-    Omega = (
-        gamma / (beta * dt) * Theta
-        - one.Omega * (gamma / beta - 1)
-        - (gamma / (2 * beta) - 1) * dt * one.Omega_dot
-    )
+    Omega = gamma / (beta * dt) * Theta - one.Omega * (gamma / beta - 1) - (gamma / (2 * beta) - 1) * dt * one.Omega_dot
     Omega_dot = Theta / (beta * dt**2) - one.Omega / (beta * dt) - (1 / (2 * beta) - 1) * one.Omega_dot
     Omega = np.asarray(Omega)
 
@@ -125,10 +119,7 @@ def test_K_Dyn_is_eq_51():
     M = R @ TENSOR @ R_n.T @ H
     C = R @ (skew(Omega) @ TENSOR - skew(TENSOR @ Omega)) @ R_n.T @ H
     expected = M / (beta * dt**2) + gamma / (beta * dt) * C - skew(R @ a)
-    assert (
-        relative_error(inertia.spin_tangent(theta, one, jnp.asarray(AXIS), I_RHO, AT_THE_END), expected)
-        < 1e-12
-    )
+    assert relative_error(inertia.spin_tangent(theta, one, jnp.asarray(AXIS), I_RHO, AT_THE_END), expected) < 1e-12
 
 
 def test_rotary_energy_is_the_directors():

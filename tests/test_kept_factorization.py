@@ -77,9 +77,7 @@ def test_pardiso_never_analyses_again():
     for scale in (1.0, 2.0, 3.0):
         start = pardiso.initial_factorization(handle)
         run(pardiso, handle, start, rhs, scale * matrices, refactor)[1][0].block_until_ready()
-        jax.grad(lambda v: linear_solve(pardiso, handle, v, rhs).sum())(
-            scale * matrices[0]
-        ).block_until_ready()
+        jax.grad(lambda v: linear_solve(pardiso, handle, v, rhs).sum())(scale * matrices[0]).block_until_ready()
     assert primitive.rebuild_count() == 0
     assert [primitive._ffi.analysis_count(name) for name in handle.native] == counts
 

@@ -22,9 +22,7 @@ THICKNESS, YOUNG, POISSON = 0.1, 1000.0, 0.3
 TRIANGLE = jnp.array([[0.0, 0.0], [1.0, 0.1], [0.3, 0.9]])
 
 # The patch of MacNeal & Harder (1985): a 0.24 x 0.12 rectangle, four inner nodes, here cut into triangles.
-PATCH = np.array(
-    [[0, 0], [0.24, 0], [0.24, 0.12], [0, 0.12], [0.04, 0.02], [0.18, 0.03], [0.16, 0.08], [0.08, 0.08]]
-)
+PATCH = np.array([[0, 0], [0.24, 0], [0.24, 0.12], [0, 0.12], [0.04, 0.02], [0.18, 0.03], [0.16, 0.08], [0.08, 0.08]])
 PATCH_TRIANGLES = np.array(
     [
         [0, 1, 4],
@@ -118,9 +116,7 @@ def test_patch(element_stiffness, field, section, strain):
     exact = field(PATCH, strain)
     solved = exact.copy()
     outer = np.setdiff1d(np.arange(24), INNER)
-    solved[INNER] = np.linalg.solve(
-        stiffness[np.ix_(INNER, INNER)], -stiffness[np.ix_(INNER, outer)] @ exact[outer]
-    )
+    solved[INNER] = np.linalg.solve(stiffness[np.ix_(INNER, INNER)], -stiffness[np.ix_(INNER, outer)] @ exact[outer])
     np.testing.assert_allclose(solved, exact, atol=1e-10 * np.abs(exact).max())
     C = np.array(plane_stress_matrix(YOUNG, POISSON))
     energy = 0.5 * section * PATCH_AREA * (strain @ C @ strain)
@@ -154,9 +150,7 @@ def test_the_numbering_of_the_corners_does_not_matter(element_stiffness):
     turned = np.roll(np.arange(9), -3)
     stiffness = np.array(element_stiffness(TRIANGLE, THICKNESS, YOUNG, POISSON))
     renumbered = element_stiffness(jnp.roll(TRIANGLE, -1, axis=0), THICKNESS, YOUNG, POISSON)
-    np.testing.assert_allclose(
-        renumbered, stiffness[np.ix_(turned, turned)], atol=1e-14 * np.abs(stiffness).max()
-    )
+    np.testing.assert_allclose(renumbered, stiffness[np.ix_(turned, turned)], atol=1e-14 * np.abs(stiffness).max())
 
 
 @pytest.mark.parametrize(

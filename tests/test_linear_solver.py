@@ -119,11 +119,7 @@ def test_second_derivative(solver):
 @pytest.mark.parametrize("axes", [(0, None), (None, 0), (0, 0)])
 def test_vmap(solver, axes):
     handle = solver.prepare(PATTERN)
-    values = (
-        jnp.stack([random_values(PATTERN, seed) for seed in range(3)])
-        if axes[0] == 0
-        else random_values(PATTERN)
-    )
+    values = jnp.stack([random_values(PATTERN, seed) for seed in range(3)]) if axes[0] == 0 else random_values(PATTERN)
     rhs = jnp.stack([RHS, 2 * RHS + 1, RHS**2]) if axes[1] == 0 else RHS
 
     def once(values, rhs):

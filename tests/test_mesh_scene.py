@@ -146,7 +146,11 @@ def test_scenes_and_their_parts_can_be_replaced():
     """dataclasses.replace gives back to every __init__ what the object holds."""
     history = js.History.ramp(1.0)
     support = js.Support([0, 3], ("ux", "uy"), displacement=[1.0, 2.0], history=history)
-    loads = (js.NodalForce([1], [0.0, 0.0, 1.0]), js.NodalMoment([1], [1.0, 0.0, 0.0]), js.EdgeForce([[1, 2]], [1.0, 0, 0]))
+    loads = (
+        js.NodalForce([1], [0.0, 0.0, 1.0]),
+        js.NodalMoment([1], [1.0, 0.0, 0.0]),
+        js.EdgeForce([[1, 2]], [1.0, 0, 0]),
+    )
     cap = js.scenes.spherical_cap(4)
     for part in (support, *loads, js.Gravity([0.0, 0.0, -9.81]), js.Pressure(2.0, history), cap):
         same = dataclasses.replace(part)

@@ -100,7 +100,9 @@ def test_mass_of_a_rigid_motion():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", [js.Newmark(), js.GeneralizedEnergyMomentum(), js.EnergyMomentum()], ids=lambda m: type(m).__name__)
+@pytest.mark.parametrize(
+    "method", [js.Newmark(), js.GeneralizedEnergyMomentum(), js.EnergyMomentum()], ids=lambda m: type(m).__name__
+)
 def test_a_mode_vibrates_at_its_frequency(method):
     """Released with a mode's velocity, the plate follows sin ω t; the trapezoidal rule makes tan(ωΔt/2) of ωΔt/2, and
     so do the mid-point rules, which are the same for small motions. The other methods: test_methods.py."""

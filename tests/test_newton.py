@@ -70,9 +70,7 @@ def test_it_stops_without_a_solve_too_many():
     by_norm = solve(Newton(tolerance=1e-6, criterion="norm", reuse=False), 4.0, GUESS)
     assert int(by_norm.result) == SUCCESSFUL
     np.testing.assert_allclose(by_norm.free, exact, atol=1e-10)
-    predicted, norm = (
-        solve(Newton(1e-6, criterion=name, reuse=False), 4.0, GUESS) for name in ("predicted", "norm")
-    )
+    predicted, norm = (solve(Newton(1e-6, criterion=name, reuse=False), 4.0, GUESS) for name in ("predicted", "norm"))
     np.testing.assert_allclose(predicted.free, exact, atol=1e-6 * SIZE)
     assert int(predicted.iterations) == int(norm.iterations) - 1
 

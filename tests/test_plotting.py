@@ -35,9 +35,7 @@ def plain_scene(*supports) -> Scene:
 
 
 def test_files(cap, tmp_path):
-    paths = plot(
-        {name: synthetic_solution(cap, method=name) for name in ("EMC", "EDMC1")}, tmp_path / "new", "cap"
-    )
+    paths = plot({name: synthetic_solution(cap, method=name) for name in ("EMC", "EDMC1")}, tmp_path / "new", "cap")
     assert [path.name for path in paths] == [
         "cap_shapes.png", "cap_displacement.png", "cap_velocity.png", "cap_energy.png",
     ]  # fmt: skip
@@ -157,9 +155,7 @@ def test_symmetry_is_read_from_supports(cap):
 def test_run_that_failed_early():
     run = synthetic_solution(PAPER["opened_cap"]((6, 2)), steps=50)
     early = jax.tree.map(lambda a: a[:21], (run.times, run.watched, run.energy, run.momentum, run.iterations))
-    frames = jax.tree.map(
-        lambda a: a[:7], (run.frame_times, run.displacements, run.rotations, run.velocities)
-    )
+    frames = jax.tree.map(lambda a: a[:7], (run.frame_times, run.displacements, run.rotations, run.velocities))
     names = ("times", "watched", "energy", "momentum", "iterations")
     frame_names = ("frame_times", "displacements", "rotations", "velocities")
     stopped = dataclasses.replace(

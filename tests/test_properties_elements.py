@@ -270,9 +270,7 @@ def test_energy_momentum_is_objective(step, motion):
     turned_u = motion.turn(np.asarray(u).reshape(3, 2, 3)).reshape(3, 6)
     turned_rates = DirectorMotion(*(motion.turn(v) for v in rates))
     x = motion.points(case.x)
-    moved = conserving_step(
-        x, motion.matrices(case.R), turned_u, turned_rates, dissipation, 0.1, case.element
-    )
+    moved = conserving_step(x, motion.matrices(case.R), turned_u, turned_rates, dissipation, 0.1, case.element)
     condition = float(np.abs(x).max()) / case.altitude + case.condition
     Q = np.kron(np.eye(6), motion.Q)
     bound = still.force_bound + still.correction_bound

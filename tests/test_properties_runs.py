@@ -110,9 +110,7 @@ def test_linear_momentum_is_the_impulse_by_newmarks_formulas(name):
         found = march(scene, method, dt)
         _, gamma, alpha_m, alpha_f, _ = (float(number) for number in method.factors(dt))
         rate, (carried, left) = found.acceleration, reactions(scene, found)
-        loads = found.dead + found.pressure[:, None, None] * np.concatenate(
-            [found.normals[:1, 0], found.normals[:, 2]]
-        )
+        loads = found.dead + found.pressure[:, None, None] * np.concatenate([found.normals[:1, 0], found.normals[:, 2]])
         size, total = np.abs(rate).sum(), 0.0
         for k in range(STEPS):
             forces = (1.0 - alpha_f) * loads[k + 1] + alpha_f * loads[k] + carried[k]

@@ -59,7 +59,9 @@ def run(method, count=50, scene=None, **options):
 SLOW = ("EDMC", "hht", "generalized_alpha")
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in METHODS])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in METHODS]
+)
 def test_loads_and_reactions_give_the_momentum(name):
     """The rate of the linear momentum, by the method's own formulas of acceleration and velocity, to 1e-9."""
     method = METHODS[name]

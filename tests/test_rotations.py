@@ -76,9 +76,7 @@ def on_axes(*angles):
 @pytest.mark.parametrize("name", EXACT_SERIES)
 def test_scalar_functions_and_their_derivatives(name):
     function = getattr(rotations, name)
-    points = jnp.array(
-        [0.0, 1e-300, 1e-20, 1e-9, 1e-4, 0.03, 0.3, 0.999999, 1.0, 1.000001, 1.7, 4.0, 8.0, 9.8]
-    )
+    points = jnp.array([0.0, 1e-300, 1e-20, 1e-9, 1e-4, 0.03, 0.3, 0.999999, 1.0, 1.000001, 1.7, 4.0, 8.0, 9.8])
     scale = [abs(exact(name, 0.0, order)) for order in range(3)]
     for order, derivatives, tolerance in (
         (0, compiled(value=function), 1e-15),
@@ -112,9 +110,7 @@ def test_exp_against_scipy(angle):
     np.testing.assert_allclose(R, Rotation.from_rotvec(np.array(theta)).as_matrix(), atol=1e-14)
 
 
-@pytest.mark.parametrize(
-    "angle", [0.0, 1e-300, 1e-12, 1e-6, 1e-3, 0.1, 1.0, 1.5707, 1.5709, 2.0, 2.2, 3.0, 3.1415]
-)
+@pytest.mark.parametrize("angle", [0.0, 1e-300, 1e-12, 1e-6, 1e-3, 0.1, 1.0, 1.5707, 1.5709, 2.0, 2.2, 3.0, 3.1415])
 def test_log_undoes_exp(angle):
     theta = on_axes(angle)
     back = jax.vmap(lambda t: rotations.log(rotations.exp(t)))(theta)

@@ -159,8 +159,7 @@ SUPPORT = '[[supports]]\nplane = { x = 0.0 }\nhold = "clamped"\n'
         ),
         (BASE + '[[loads]]\nkind = "gravity"\nnodes = [1]', "number 1: has the unknown key 'nodes'"),
         (
-            BASE
-            + '[[loads]]\nkind = "pressure"\npressure = 1\nhistory = { times = [1, 0], values = [0, 1] }',
+            BASE + '[[loads]]\nkind = "pressure"\npressure = 1\nhistory = { times = [1, 0], values = [0, 1] }',
             "number 1: history times must increase",
         ),
         (

@@ -68,9 +68,7 @@ def test_an_array_of_steps(whole, scene):
     both = js.simulate(scene, EMC, dt=np.repeat([DT, 0.5 * DT], half), save_every=2, newton=TIGHT)
     close(both.watched["apex"][: half + 1], whole.watched["apex"][: half + 1], 1e-12)
     first = js.simulate(scene, EMC, dt=[DT] * half, save_every=2, newton=TIGHT)
-    second = js.simulate(
-        scene, EMC, dt=0.5 * DT, t_end=0.5 * half * DT, save_every=2, restart=first, newton=TIGHT
-    )
+    second = js.simulate(scene, EMC, dt=0.5 * DT, t_end=0.5 * half * DT, save_every=2, restart=first, newton=TIGHT)
     np.testing.assert_allclose(both.times[half:], second.times, rtol=1e-12)
     close(both.watched["apex"][half:], second.watched["apex"], 1e-10)
 

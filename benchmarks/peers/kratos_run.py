@@ -41,9 +41,7 @@ def build(case, scheme: str, tolerance: float, max_iterations: int, absolute: bo
     for k, x in enumerate(case["nodes"]):
         part.CreateNewNode(k + 1, *map(float, x))
     for k, triangle in enumerate(case["triangles"]):
-        part.CreateNewElement(
-            "ShellThinElementCorotational3D3N", k + 1, [int(n) + 1 for n in triangle], properties
-        )
+        part.CreateNewElement("ShellThinElementCorotational3D3N", k + 1, [int(n) + 1 for n in triangle], properties)
     for variable, reaction in _DOFS:
         KM.VariableUtils().AddDof(variable, reaction, part)
     for dof in case["held"]:
@@ -52,9 +50,7 @@ def build(case, scheme: str, tolerance: float, max_iterations: int, absolute: bo
     for k, node in enumerate(loaded):
         part.CreateNewCondition("PointLoadCondition3D1N", k + 1, [int(node) + 1], properties)
 
-    settings = KM.Parameters(
-        """{"damp_factor_m": 0.0, "newmark_beta": 0.25, "projection_variables_list": []}"""
-    )
+    settings = KM.Parameters("""{"damp_factor_m": 0.0, "newmark_beta": 0.25, "projection_variables_list": []}""")
     settings["damp_factor_m"].SetDouble({"newmark": 0.0, "bossak": -0.05}[scheme])
     # Relative to the step's total displacements, as its users set it; or on our scale, the shell's size and radians.
     size = float(np.linalg.norm(np.ptp(case["nodes"], axis=0))) if absolute else 0.0

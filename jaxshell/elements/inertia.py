@@ -98,8 +98,12 @@ class PointStart(NamedTuple):
     @classmethod
     def of(cls, spins: Spins, axis: Float[Array, "3"]) -> "PointStart":
         """For spins (..., 3, 3) of one element with the director `axis` (3,) in its stress-free shape."""
-        return cls(*(product(spins.R, v) if v.ndim == 1 else dot(spins.R, v[..., None, :])
-                     for v in (axis, spins.Omega, spins.Omega_dot)))
+        return cls(
+            *(
+                product(spins.R, v) if v.ndim == 1 else dot(spins.R, v[..., None, :])
+                for v in (axis, spins.Omega, spins.Omega_dot)
+            )
+        )
 
 
 def _mid_point(theta, start: PointStart, factors: StepFactors, centrifugal: bool):

@@ -15,9 +15,7 @@ ALPHA_B = 1.5  # lumping of the edge tractions to the drilling freedoms
 BETA_0_MINIMUM = 0.01
 
 
-def plane_stress_matrix(
-    young_modulus: Float[Array, ""], poisson_ratio: Float[Array, ""]
-) -> Float[Array, "3 3"]:
+def plane_stress_matrix(young_modulus: Float[Array, ""], poisson_ratio: Float[Array, ""]) -> Float[Array, "3 3"]:
     """Isotropic plane-stress matrix C, (σxx, σyy, τxy) = C (εxx, εyy, γxy) [units of E]."""
     nu = jnp.asarray(poisson_ratio)
     zero, one = jnp.zeros_like(nu), jnp.ones_like(nu)

@@ -103,9 +103,7 @@ class CentralDifference(Method):
         mass, rates = lumped_mass(model), jnp.concatenate([v, omega], axis=1)
         internal, strain = _internal(model, x, R)
         energy = strain + 0.5 * jnp.sum(mass * rates**2)
-        return ExplicitState(
-            time, x, R, rates, _load(model, x, time), internal, strain, zero, energy, energy, mass
-        )
+        return ExplicitState(time, x, R, rates, _load(model, x, time), internal, strain, zero, energy, energy, mass)
 
     def step(self, model: Model, state: ExplicitState, dt, solvers, memory):
         mass, end, held = state.mass, state.time + dt, model.tables.held
@@ -130,9 +128,7 @@ class CentralDifference(Method):
         # The velocity at the end already holds the second half of this step's kick, whose work follows.
         coming = 0.5 * dt * jnp.sum(load * rates)
         supplied = jnp.maximum(state.supplied, state.initial_energy + work + coming)
-        new = ExplicitState(
-            end, x, R, rates, load, internal, strain, work, state.initial_energy, supplied, mass
-        )
+        new = ExplicitState(end, x, R, rates, load, internal, strain, work, state.initial_energy, supplied, mass)
         # Written so that NaN fails too.
         stable = new.kinetic + strain <= _EXPLOSION * supplied
         zero = jnp.zeros((), jnp.int32)
@@ -154,9 +150,7 @@ class CentralDifference(Method):
 def lumped_mass(model: Model) -> Float[Array, "n 6"]:
     """A third of each element's mass and of its (ρh³/12)A at each of its nodes."""
     elements = model.elements
-    third = (
-        jnp.stack([elements.mass_per_area, elements.rotary_inertia], axis=1) * elements.area[:, None] / 3.0
-    )
+    third = jnp.stack([elements.mass_per_area, elements.rotary_inertia], axis=1) * elements.area[:, None] / 3.0
     corner = jnp.broadcast_to(third[:, None, :, None], (third.shape[0], 3, 2, 3))
     return model.tables.nodal(corner.reshape(-1, 6))
 

@@ -112,9 +112,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             elastic = elastic - (1.0 - factors.alpha_f) * pressure_force(motion.x, data.pressure)
 
         points = data.spins if self.inertia == "seven_point" else None
-        inertial = seven_point.inertial_forces(
-            u[:, :3], motion.theta, data.v, data.a, points, element, factors
-        )
+        inertial = seven_point.inertial_forces(u[:, :3], motion.theta, data.v, data.a, points, element, factors)
         if self.inertia == "traditional":
             moment = traditional.moments(motion, data.R, data.spins, element, factors)
             inertial = inertial + jnp.pad(moment, ((0, 0), (3, 0))).reshape(18)

@@ -76,9 +76,7 @@ class ForceLevelMethod(ImplicitMethod):
         elastic = corotational.internal_force(motion.x, motion.R, data.element)
         if data.pressure is not None:
             elastic = elastic - pressure_force(motion.x, data.pressure)
-        inertial = seven_point.inertial_forces(
-            u[:, :3], motion.theta, data.v, data.a, data.points, data.element, step
-        )
+        inertial = seven_point.inertial_forces(u[:, :3], motion.theta, data.v, data.a, data.points, data.element, step)
         return Forces((1.0 - step.alpha_f) * elastic, inertial)
 
     def element_tangent(self, motion, u, data: ElementData, step: StepFactors):

@@ -151,9 +151,7 @@ def _draw(panel, projected, shapes, triangles, distances, length, colours) -> No
     order = np.argsort(corners[:, :, 2].mean(axis=1))
     edges = faces * np.array([0.7, 0.7, 0.7, 1.0])
     outlines = list(corners[order, :, :2])
-    panel.add_collection(
-        PolyCollection(outlines, facecolors=faces[order], edgecolors=edges[order], linewidths=0.25)
-    )
+    panel.add_collection(PolyCollection(outlines, facecolors=faces[order], edgecolors=edges[order], linewidths=0.25))
 
 
 def _label_shapes(panel, projected, labels) -> None:

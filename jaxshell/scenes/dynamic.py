@@ -27,14 +27,10 @@ def snapping_panel(divisions: tuple[int, int] = (8, 16), force: float = 5e7) -> 
     """
     along, around = divisions
     if along % 2 or around % 2:
-        raise ValueError(
-            f"divisions must be even, so that there is a node at the centre, but are {divisions}."
-        )
+        raise ValueError(f"divisions must be even, so that there is a node at the centre, but are {divisions}.")
     radius, length, half_angle = 5.0, 5.0, np.pi / 6
     x, turn = _grid(np.linspace(0, length, along + 1), np.linspace(-half_angle, half_angle, around + 1))
-    mesh = Mesh(
-        np.stack([x, radius * np.sin(turn), radius * np.cos(turn)], 1), structured_triangles(along, around)
-    )
+    mesh = Mesh(np.stack([x, radius * np.sin(turn), radius * np.cos(turn)], 1), structured_triangles(along, around))
     centre = mesh.nearest_node([length / 2, 0, radius])
     crown, edges = (np.flatnonzero(np.abs(np.abs(turn) - angle) < 1e-9) for angle in (0.0, half_angle))
     return Scene(

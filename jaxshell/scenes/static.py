@@ -37,9 +37,7 @@ def cantilever_end_shear(divisions: tuple[int, int] = (32, 2), force: float = 4.
     )
 
 
-def cantilever_end_moment(
-    divisions: tuple[int, int] = (40, 1), moment: float = 50.0 * math.pi / 3.0
-) -> Scene:
+def cantilever_end_moment(divisions: tuple[int, int] = (40, 1), moment: float = 50.0 * math.pi / 3.0) -> Scene:
     """Cantilever rolled up to a full circle by a moment at its tip (Sze, section 3.2).
 
     12 × 1 × 0.1, E 1.2e6, ν 0; clamped at x = 0, `moment` about -y at x = 12. Exact: a circle arc of
@@ -69,9 +67,7 @@ def slit_annular_plate(divisions: tuple[int, int] = (10, 80), force: float = 0.8
     radial, around = divisions
     i, j = (k.ravel() for k in np.meshgrid(np.arange(radial + 1), np.arange(around + 1), indexing="ij"))
     r, angle = 6.0 + 4.0 * i / radial, 2 * np.pi * j / around
-    mesh = Mesh(
-        np.stack([r * np.cos(angle), r * np.sin(angle), 0 * r], 1), structured_triangles(radial, around)
-    )
+    mesh = Mesh(np.stack([r * np.cos(angle), r * np.sin(angle), 0 * r], 1), structured_triangles(radial, around))
     lip = np.flatnonzero(j == 0)
     return Scene(
         mesh,
@@ -149,9 +145,7 @@ def pinched_semi_cylinder(divisions: tuple[int, int] = (32, 32), force: float = 
     )
 
 
-def hinged_roof(
-    divisions: tuple[int, int] = (16, 16), thickness: float = 12.7, force: float = 3000.0
-) -> Scene:
+def hinged_roof(divisions: tuple[int, int] = (16, 16), thickness: float = 12.7, force: float = 3000.0) -> Scene:
     """Shallow cylindrical roof hinged on its straight edges, snapping through (Sze, section 3.8, isotropic).
 
     R 2540, length 508, half angle 0.1 rad, E 3102.75, ν 0.3; `thickness` 12.7 snaps through, 6.35 snaps
@@ -162,13 +156,9 @@ def hinged_roof(
     along, around = divisions
     x, turn = (
         k.ravel()
-        for k in np.meshgrid(
-            np.linspace(0, half, along + 1), np.linspace(0, angle, around + 1), indexing="ij"
-        )
+        for k in np.meshgrid(np.linspace(0, half, along + 1), np.linspace(0, angle, around + 1), indexing="ij")
     )
-    mesh = Mesh(
-        np.stack([x, radius * np.sin(turn), radius * np.cos(turn)], 1), structured_triangles(along, around)
-    )
+    mesh = Mesh(np.stack([x, radius * np.sin(turn), radius * np.cos(turn)], 1), structured_triangles(along, around))
     return Scene(
         mesh,
         Section(thickness, 3102.75, 0.3, _DENSITY),
@@ -194,9 +184,7 @@ def hemisphere(divisions: tuple[int, int] = (16, 16), force: float = 100.0) -> S
     radius = 10.0
     i, j = (k.ravel() for k in np.meshgrid(np.arange(rows + 1), np.arange(around + 1), indexing="ij"))
     polar, azimuth = np.radians(90.0 - 72.0 * i / rows), 0.5 * np.pi * j / around
-    nodes = radius * np.stack(
-        [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], 1
-    )
+    nodes = radius * np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], 1)
     # Rows climb towards the hole, so the outward normal asks for the second direction to run first.
     mesh = Mesh(nodes, structured_triangles(rows, around)[:, [0, 2, 1]])
     return Scene(
@@ -244,8 +232,7 @@ def _quarter_cylinder_symmetry(mesh: Mesh) -> tuple[Support, ...]:
     """Planes of symmetry of an eighth of a cylinder about x: mid-length, crown and side."""
     size = float(np.max(np.asarray(mesh.nodes)))
     return tuple(
-        symmetry(mesh.nodes_where(lambda x, axis=axis: np.abs(x[axis]) < 1e-9 * size), "xyz"[axis])
-        for axis in range(3)
+        symmetry(mesh.nodes_where(lambda x, axis=axis: np.abs(x[axis]) < 1e-9 * size), "xyz"[axis]) for axis in range(3)
     )
 
 
