@@ -14,24 +14,18 @@ jax.config.update("jax_enable_compilation_cache", False)
 
 import jaxshell as js  # noqa: E402
 from jaxshell import program  # noqa: E402
-from jaxshell.assembly import analyse  # noqa: E402
 from jaxshell.compiled import OPTIONS  # noqa: E402
-from jaxshell.linear_solver import default_solver  # noqa: E402
-from jaxshell.model import structure_of  # noqa: E402
-from jaxshell.simulation import _floats_to_arrays  # noqa: E402
+from jaxshell.driver import set_up  # noqa: E402
 
 
 def measure(method, options) -> tuple[float, float, float]:
     """Seconds to trace and lower, to compile, and to run 50 steps."""
-    scene, solver = js.scenes.spherical_cap(), default_solver()
-    tables, pattern = analyse(structure_of(scene))
-    handle = solver.prepare(pattern)
-    choices = program.Choices("closed_form", solver, 50, scene.watch)
-    method, newton = _floats_to_arrays((method, js.Newton()))
-    model, carry, *_ = program.prepare(scene, method, newton, tables, handle, choices)
+    scene = js.scenes.spherical_cap()
+    setup = set_up(scene, method, js.Newton(), save_every=50)
+    model, carry, *_ = setup.prepare()
     dt = scene.defaults.dt
     steps = jnp.full((1, 50), dt), dt * jnp.arange(1.0, 51.0)[None]
-    arguments = (model, method, newton, handle, choices, carry, steps)
+    arguments = (model, setup.plan, carry, steps)
     begun = time.perf_counter()
     lowered = eqx.filter_jit(program.run.__wrapped__, compiler_options=options).lower(*arguments)
     traced = time.perf_counter()

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from jaxshell import scenes
     from jaxshell.arc_length import solve_arc_length
+    from jaxshell.driver import SimulationError
     from jaxshell.linear_solver import KLU, Dense, Pardiso
-    from jaxshell.loads import EdgeForce, Gravity, History, NodalForce, NodalMoment, Pressure
+    from jaxshell.loads import EdgeForce, Gravity, History, NodalForce, NodalMoment, NormalForce, Pressure
     from jaxshell.mesh import Mesh, structured_triangles
     from jaxshell.methods import (
         HHT,
@@ -23,9 +24,10 @@ if TYPE_CHECKING:
     )
     from jaxshell.modal import BucklingModes, Modes, linear_buckling, natural_frequencies
     from jaxshell.newton import Newton
+    from jaxshell.output import Output
     from jaxshell.scene import Initial, Scene
     from jaxshell.section import Section
-    from jaxshell.simulation import SimulationError, simulate
+    from jaxshell.simulation import simulate
     from jaxshell.solution import RESULTS, Energy, Momentum, Solution
     from jaxshell.statics import reactions, solve_static
     from jaxshell.step_control import StepControl
@@ -54,6 +56,8 @@ __all__ = [
     "Newton",
     "NodalForce",
     "NodalMoment",
+    "NormalForce",
+    "Output",
     "Pardiso",
     "Pressure",
     "Scene",
@@ -77,8 +81,9 @@ __all__ = [
 
 _HOMES = {
     "arc_length": ["solve_arc_length"],
+    "driver": ["SimulationError"],
     "linear_solver": ["KLU", "Dense", "Pardiso"],
-    "loads": ["EdgeForce", "Gravity", "History", "NodalForce", "NodalMoment", "Pressure"],
+    "loads": ["EdgeForce", "Gravity", "History", "NodalForce", "NodalMoment", "NormalForce", "Pressure"],
     "mesh": ["Mesh", "structured_triangles"],
     "methods": [
         "HHT",
@@ -91,10 +96,11 @@ _HOMES = {
     ],
     "modal": ["BucklingModes", "Modes", "linear_buckling", "natural_frequencies"],
     "newton": ["Newton"],
+    "output": ["Output"],
     "scene": ["Initial", "Scene"],
     "scenes": ["scenes"],
     "section": ["Section"],
-    "simulation": ["SimulationError", "simulate"],
+    "simulation": ["simulate"],
     "solution": ["RESULTS", "Energy", "Momentum", "Solution"],
     "statics": ["reactions", "solve_static"],
     "step_control": ["StepControl"],

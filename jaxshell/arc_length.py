@@ -11,7 +11,6 @@ and Newton solves both at once. Its bordered system needs K once, with two right
     δu = δu_r + δλ δu_q,   K δu_r = -r,   K δu_q = -∂r/∂λ,   δλ from the linearised constraint.
 """
 
-import time
 from typing import Any, NamedTuple
 
 import jax
@@ -20,33 +19,28 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxshell import program
-from jaxshell.assembly import analyse
-from jaxshell.checks import check_positive, is_concrete, require_float64
+from jaxshell.checks import check_positive, require_float64
 from jaxshell.compiled import compiled
-from jaxshell.linear_solver import LinearSolver, default_solver
+from jaxshell.driver import Setup, SimulationError, check_options, is_traced, result_of, set_up
+from jaxshell.full_newton import predicted_to_converge
+from jaxshell.iteration import STAGNATED, SUCCESSFUL, Measure
+from jaxshell.linear_solver import LinearSolver
 from jaxshell.mechanisms import check_supported
 from jaxshell.methods.static import Static, StaticState
-from jaxshell.model import Model, structure_of
-from jaxshell.newton import DIVERGED, SINGULAR, STAGNATED, SUCCESSFUL, Linear, Newton
-from jaxshell.program import Choices
+from jaxshell.model import Model
+from jaxshell.newton import Newton
+from jaxshell.program import Plan
 from jaxshell.progress import Progress
 from jaxshell.scene import Scene
-from jaxshell.simulation import (
-    SimulationError,
-    _check_options,
-    _floats_to_arrays,
-    _results,
-)
 from jaxshell.solution import RESULTS, Solution
-from jaxshell.statics import DEFAULT_NEWTON, Log, proportional
+from jaxshell.statics import DEFAULT_NEWTON, StaticLog, proportional
 
 _CUTS = 10
 _WANTED_ITERATIONS = 6
 """Steps grow where the iteration takes fewer and shrink where it takes more."""
-_GIVE_UP = 1e3
 _FIRST_LOAD, _TINY = 0.05, 1e-6
-"""Without a given arc length, the load factor whose displacements at the start are one; and a step, as a part of the
-shell's size, that shows them."""
+"""Without a given arc length, the load factor whose displacements at the start are one; and a step, as a fraction of
+the shell's size, that shows them."""
 _NO_PATH = "Nothing loads or moves the shell: there is no path to follow. Look at the scene's loads and supports."
 _STRAIGHT = 0.8
 """Cosine of the angle between two steps below which the second is halved: where the path turns back sharply, a long
@@ -86,7 +80,7 @@ def solve_arc_length(
     """
     require_float64()
     newton = DEFAULT_NEWTON if newton is None else newton
-    _check_options(scene, Static(), save_every, tangent, newton)
+    check_options(scene, Static(), save_every, tangent, newton)
     if arc_length is not None:
         check_positive("arc_length", arc_length)
     check_positive("max_load_factor", max_load_factor)
@@ -94,19 +88,47 @@ def solve_arc_length(
         raise ValueError(f"steps must be a whole number of at least 1, but it is {steps!r}.")
     if not scene.loads and all(support.displacement is None for support in scene.supports):
         raise ValueError(_NO_PATH)
-    if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, newton, arc_length))):
+    if is_traced(scene, newton, arc_length):
         raise ValueError("solve_arc_length chooses its steps as it goes and cannot be traced: use solve_static.")
     check_supported(scene)
-    linear_solver = default_solver() if linear_solver is None else linear_solver
-    tables, pattern = analyse(structure_of(scene))
-    handle = linear_solver.prepare(pattern)
-    (newton,) = _floats_to_arrays((newton,))
-    choices = Choices(tangent, linear_solver, save_every, scene.watch)
+    setup = set_up(scene, Static(), newton, linear_solver=linear_solver, tangent=tangent, save_every=save_every)
     with Progress(steps=steps, enabled=progress) as bar:
-        solution = _driven(scene, newton, tables, handle, choices, arc_length, steps, max_load_factor, output, bar)
+        solution = _driven(setup, arc_length, steps, max_load_factor, output, bar)
     if throw and solution.message:
         raise SimulationError(solution.message, solution)
     return solution
+
+
+class _Step(NamedTuple):
+    """One step of the path: its equations in the free increments and the increment of the load factor."""
+
+    model: Model
+    plan: Plan
+    state: StaticState
+    held_rate: Float[Array, " nh"]
+    """Held degrees of freedom that are moved go with the load factor."""
+
+    def increments(self, free, increment) -> Float[Array, "n 6"]:
+        return self.model.expand(free, increment * self.held_rate)
+
+    def moves(self, free, held) -> Float[Array, "n 3"]:
+        return self.model.expand(free, held)[:, :3]
+
+    def balance(self, free, increment):
+        begun = self.plan.method.begin(self.model, self.state, increment)
+        return self.plan.method.balance(self.model, self.state, begun, self.increments(free, increment))
+
+    def two_solutions(self, free, last, increment, residual):
+        """δu_r and δu_q at the iterate `free`, reached from `last`; each as free degrees of freedom."""
+        model, method, linear = self.model, self.plan.method, self.plan.solvers.linear
+        begun = method.begin(model, self.state, increment)
+        held = increment * self.held_rate
+        u, before = model.expand(free, held), model.expand(last, jnp.where(jnp.any(last != 0), held, 0.0))
+        matrix = method.tangent(model, self.state, begun, u, before, self.plan.solvers.tangent)
+        _, rate = jax.jvp(lambda t: model.free(self.balance(free, t).residual), (increment,), (jnp.ones(()),))
+        by_load, factorization = linear.solver.factor_and_solve(linear.handle, matrix, -rate)
+        by_residual = linear.solver.solve(linear.handle, factorization, matrix, -residual)
+        return by_residual, by_load
 
 
 class _Carry(NamedTuple):
@@ -118,118 +140,115 @@ class _Carry(NamedTuple):
     result: Int[Array, ""]
     iterations: Int[Array, ""]
     correction: Float[Array, ""]
+    huge: Any
+
+
+def _corrected(step: _Step, measure: Measure, length, c: _Carry) -> _Carry:
+    """One correction of the bordered system."""
+    n, newton = step.state.d.shape[0], step.plan.solvers.newton
+    residual = step.model.free(step.balance(c.free, c.increment).residual)
+    by_residual, by_load = step.two_solutions(c.free, c.last, c.increment, residual)
+    so_far = step.moves(c.free, c.increment * step.held_rate)
+    along = jnp.sum(so_far * step.moves(by_load, step.held_rate))
+    gap = 0.5 * (n * length**2 - jnp.sum(so_far * so_far))
+    change = (gap - jnp.sum(so_far * step.moves(by_residual, 0.0 * step.held_rate))) / along
+    found = measure.correction(by_residual + change * by_load, c.correction)
+    bad = found.hopeless(again=c.huge)
+    return _Carry(
+        free=jnp.where(bad, c.free, c.free + found.damping * found.step),
+        last=c.free,
+        increment=jnp.where(bad, c.increment, c.increment + found.damping * change),
+        done=bad | (predicted_to_converge(found, newton.tolerance) & found.whole),
+        result=jnp.where(bad, found.failure(), SUCCESSFUL),
+        iterations=c.iterations + 1,
+        correction=found.measured,
+        huge=found.huge,
+    )
 
 
 @compiled
-def _advance(model: Model, newton: Newton, handle, choices: Choices, state: StaticState, previous, length):
+def _advance(model: Model, plan: Plan, state: StaticState, previous, length):
     """One step of arc length `length`, going on in the direction `previous` (n, 3) of the last step."""
-    linear, method = Linear(choices.linear_solver, handle), Static()
-    rotates = model.tables.free % 6 >= 3
-    scale = jnp.where(rotates, 1.0, 1.0 / model.size)
-    n = state.d.shape[0]
-    # Held freedoms that are moved go with the load factor.
-    held_rate = model.held_displacement(state.time + 1.0) - model.held_displacement(state.time)
-
-    def balance(free, increment):
-        begun = method.begin(model, state, increment)
-        return method.balance(model, state, begun, model.expand(free, increment * held_rate))
-
-    def two_solutions(free, last, increment, residual):
-        """δu_r and δu_q, each as free freedoms."""
-        begun = method.begin(model, state, increment)
-        held = increment * held_rate
-        u, before = model.expand(free, held), model.expand(last, jnp.where(jnp.any(last != 0), held, 0.0))
-        matrix = model.assemble_matrix(method.mixed_matrices(model, state, begun, u, before, choices.tangent))
-        _, rate = jax.jvp(lambda t: model.free(balance(free, t).residual), (increment,), (jnp.ones(()),))
-        by_load, factorization = linear.solver.factor_and_solve(linear.handle, matrix, -rate)
-        by_residual = linear.solver.solve(linear.handle, factorization, matrix, -residual)
-        return by_residual, by_load
-
-    def moves(free, held):
-        return model.expand(free, held)[:, :3]
-
-    def body(c: _Carry):
-        found = balance(c.free, c.increment)
-        residual = model.free(found.residual)
-        by_residual, by_load = two_solutions(c.free, c.last, c.increment, residual)
-        so_far = moves(c.free, c.increment * held_rate)
-        along = jnp.sum(so_far * moves(by_load, held_rate))
-        gap = 0.5 * (n * length**2 - jnp.sum(so_far * so_far))
-        change = (gap - jnp.sum(so_far * moves(by_residual, 0.0 * held_rate))) / along
-        step = by_residual + change * by_load
-        turn = jnp.max(jnp.where(rotates, jnp.abs(step), 0.0), initial=0.0)
-        damping = jnp.minimum(1.0, newton.max_rotation / jnp.where(turn > 0, turn, 1.0))
-        damping = jnp.where(turn > 0, damping, 1.0)
-        size = jnp.max(jnp.abs(scale * step))
-        q = jnp.where(jnp.isfinite(c.correction), size / c.correction, 1.0)
-        enough = (size <= newton.tolerance) | ((q < 0.5) & (size * q * q <= newton.tolerance))
-        bad = ~jnp.isfinite(size) | (size > _GIVE_UP)
-        return _Carry(
-            jnp.where(bad, c.free, c.free + damping * step),
-            c.free,
-            jnp.where(bad, c.increment, c.increment + damping * change),
-            bad | (enough & (damping == 1.0)),
-            jnp.where(bad, jnp.where(jnp.isfinite(size), DIVERGED, SINGULAR), SUCCESSFUL),
-            c.iterations + 1,
-            jnp.where(damping == 1.0, size, jnp.inf),
-        )
-
+    newton, n = plan.solvers.newton, state.d.shape[0]
+    measure = Measure(model.size, model.tables.free % 6 >= 3, newton.max_rotation)
+    step = _Step(model, plan, state, model.held_increment(state.time, 1.0))
     # Predictor along the tangent of the path, with the sense of the last step (loads grow at the start).
     zeros, zero = jnp.zeros(model.tables.free.shape), jnp.zeros(())
-    _, tangent = two_solutions(zeros, zeros, zero, zeros)
-    direction = moves(tangent, held_rate)
+    _, tangent = step.two_solutions(zeros, zeros, zero, zeros)
+    direction = step.moves(tangent, step.held_rate)
     increment = length * jnp.sqrt(n / jnp.sum(direction * direction))
     increment = jnp.where(jnp.sum(direction * previous) < 0, -increment, increment)
     one = jnp.ones((), jnp.int32)
-    start = _Carry(increment * tangent, zeros, increment, jnp.array(False), 0 * one, one, jnp.array(jnp.inf))
-    end = jax.lax.while_loop(lambda c: ~c.done & (c.iterations < newton.max_iterations), body, start)
+    start = _Carry(
+        free=increment * tangent,
+        last=zeros,
+        increment=increment,
+        done=jnp.array(False),
+        result=0 * one,
+        iterations=one,
+        correction=jnp.array(jnp.inf),
+        huge=jnp.array(False),
+    )
+    end = jax.lax.while_loop(
+        lambda c: ~c.done & (c.iterations < newton.max_iterations),
+        lambda c: _corrected(step, measure, length, c),
+        start,
+    )
     result = jnp.where(end.done, end.result, STAGNATED)
-    begun = method.begin(model, state, end.increment)
-    u = model.expand(end.free, end.increment * held_rate)
-    state = method.finish(model, state, end.increment, u, method.motion(state, u), begun)
-    record = program.record(model, method, state, choices, end.iterations, end.iterations, jnp.array(True))
+    begun, u = plan.method.begin(model, state, end.increment), step.increments(end.free, end.increment)
+    state = plan.method.finish(model, state, end.increment, u, plan.method.motion(state, u), begun)
+    record = program.record(model, plan, state, None, end.iterations, end.iterations, jnp.array(True))
     return state, u[:, :3], result, record, program.frame(model, state)
 
 
-def _driven(scene, newton, tables, handle, choices, arc_length, steps, max_load_factor, output, bar) -> Solution:
-    begun = time.perf_counter()
-    model, carry, record, frame = program.prepare(proportional(scene), Static(), newton, tables, handle, choices)
+def _driven(setup: Setup, arc_length, steps, max_load_factor, output, bar) -> Solution:
+    log = StaticLog(setup, output)
+    model, carry, record, frame = setup.prepare(proportional(setup.scene))
     state, previous = carry.state, jnp.zeros_like(carry.state.d)
-    if arc_length is None:
-        tiny = _TINY * model.size
-        after, *_ = _advance(model, newton, handle, choices, state, previous, tiny)
-        arc_length = float(_FIRST_LOAD * tiny / (after.time - state.time))
-        if not 0 < arc_length < np.inf:
-            raise ValueError(_NO_PATH)
-    length = float(arc_length)
-    code, message = int(SUCCESSFUL), ""
-    log = Log(scene, choices.save_every, record, frame, output, Static(), newton, choices)
+    longest = _first_length(model, setup.plan, state, previous) if arc_length is None else float(arc_length)
+    length, code, message = longest, int(SUCCESSFUL), ""
     with log:
+        log.start(record, frame)
         for position in range(steps):
-            spent = np.zeros(2, int)
-            while True:
-                new, moved, code, record, frame = _advance(
-                    model, newton, handle, choices, state, previous, jnp.asarray(length)
-                )
-                code = int(code)
-                spent += int(record.iterations)
-                shortest = length / 2 < arc_length / 2**_CUTS
-                if shortest or (code == SUCCESSFUL and (position == 0 or _cosine(moved, previous) > _STRAIGHT)):
-                    break
-                length /= 2
+            found, spent, length = _shortened(model, setup.plan, state, previous, length, longest, position == 0)
+            new, moved, code, record, frame = found
+            code = int(code)
             if code != SUCCESSFUL:
                 message = _message(code, position, float(state.time), length)
                 break
             state, previous = new, moved
             over = abs(float(state.time)) >= max_load_factor
-            log.append(record, frame, spent, last=over or position == steps - 1)
-            bar.advance(log.latest)
+            log.step(record, frame, spent, last=over or position == steps - 1)
+            bar.advance(log.records[-1])
             if over:
                 break
             length *= float(np.clip(np.sqrt(_WANTED_ITERATIONS / int(record.iterations)), 0.5, 2.0))
-            length = min(length, float(arc_length))
-        stats = log.finish(code, message, time.perf_counter() - begun)
-    return log.solution(state, code, message, stats)
+            length = min(length, longest)
+        return log.finish(state, code, message)
+
+
+def _first_length(model: Model, plan: Plan, state: StaticState, previous) -> float:
+    """The arc length that `_FIRST_LOAD` of the loads makes by the stiffness at the start."""
+    tiny = _TINY * model.size
+    after, *_ = _advance(model, plan, state, previous, tiny)
+    length = float(_FIRST_LOAD * tiny / (after.time - state.time))
+    if not 0 < length < np.inf:
+        raise ValueError(_NO_PATH)
+    return length
+
+
+def _shortened(model: Model, plan: Plan, state: StaticState, previous, length, longest, first: bool):
+    """A step of at most `length`, halved while it fails or turns back: (what `_advance` gives, cost, its length)."""
+    spent = np.zeros(2, int)
+    while True:
+        found = _advance(model, plan, state, previous, jnp.asarray(length))
+        _, moved, code, record, _ = found
+        spent += int(record.iterations)
+        if length / 2 < longest / 2**_CUTS:
+            return found, spent, length
+        if int(code) == SUCCESSFUL and (first or _cosine(moved, previous) > _STRAIGHT):
+            return found, spent, length
+        length /= 2
 
 
 def _cosine(step, previous) -> float:
@@ -240,5 +259,5 @@ def _cosine(step, previous) -> float:
 def _message(code: int, position: int, at: float, length: float) -> str:
     return (
         f"The path was followed for {position} steps to load factor {at:.6g}; the next failed with the arc "
-        f"length down to {length:.3g}. The last attempt: {RESULTS[_results()[code]]}"
+        f"length down to {length:.3g}. The last attempt: {RESULTS[result_of(code)]}"
     )

@@ -5,6 +5,7 @@ the sum is a handful of gathers over targets sorted by their number of contribut
 deterministic, and without the write conflicts that make scatters slow.
 """
 
+import dataclasses
 import functools
 from typing import NamedTuple
 
@@ -75,7 +76,14 @@ class Tables(eqx.Module):
     """Numbers 6·node + dof of the free freedoms."""
     held: Int[Array, " nh"]
     place: Int[Array, " n6"]
-    """Where each freedom stands in [free, held]."""
+    """Where each degree of freedom stands in [free, held]."""
+    groups: tuple[Int[Array, "k c"], ...] = ()
+    """Nodes of the contributions' groups, other than the elements' own."""
+    entries: tuple[Int[Array, " e"], ...] = ()
+    """Of the groups' matrices, entry by entry: its place in the sparse matrix; beyond its end where it has none."""
+    own: Int[Array, " nnz"] | None = None
+    """Of every entry of the sparse matrix, its place in `matrix`, one past the end where only groups have it; None
+    where `matrix` is the sparse matrix."""
 
 
 class Structure(NamedTuple):
@@ -84,6 +92,8 @@ class Structure(NamedTuple):
     triangles: Frozen
     n_nodes: int
     held: Frozen
+    groups: tuple[Frozen, ...] = ()
+    """(k, c) nodes of the contributions' groups, other than the elements' own."""
 
 
 @functools.lru_cache(maxsize=32)
@@ -92,17 +102,33 @@ def analyse(structure: Structure) -> tuple[Tables, SparsityPattern]:
     triangles, free = structure.triangles.array, _free_dofs(structure)
     number = np.full(6 * structure.n_nodes, -1)
     number[free] = np.arange(free.size)
-    dofs = number[(6 * triangles[:, :, None] + np.arange(6)).reshape(-1, 18)]
-    rows = np.repeat(dofs, 18, axis=1).ravel()
-    columns = np.tile(dofs, (1, 18)).ravel()
-    sources = np.flatnonzero((rows >= 0) & (columns >= 0))
-    keys = rows[sources].astype(np.int64) * free.size + columns[sources]
-    entries, targets = np.unique(keys, return_inverse=True)
+    own, sources = _keys(triangles, number, free.size)
+    others = [_keys(group.array, number, free.size) for group in structure.groups]
+    mine, targets = np.unique(own[sources], return_inverse=True)
+    entries = np.unique(np.concatenate([mine, *(keys[kept] for keys, kept in others)])) if others else mine
     indptr = np.concatenate([[0], np.cumsum(np.bincount(entries // free.size, minlength=free.size))])
     pattern = SparsityPattern(free.size, Frozen(indptr), Frozen(entries % free.size))
     with jax.ensure_compile_time_eval():
-        matrix = GatherSum.build(targets.ravel(), sources, entries.size)
-    return eqx.tree_at(lambda tables: tables.matrix, nodal_tables(structure), matrix), pattern
+        matrix = GatherSum.build(targets.ravel(), sources, mine.size)
+        own_places = np.full(entries.size, mine.size)
+        own_places[np.searchsorted(entries, mine)] = np.arange(mine.size)
+        spread = None if entries.size == mine.size else index_array(own_places)
+        places = tuple(
+            index_array(np.where(keys >= 0, np.searchsorted(entries, keys), entries.size)) for keys, _ in others
+        )
+    tables = nodal_tables(structure)
+    return dataclasses.replace(tables, matrix=matrix, entries=places, own=spread), pattern
+
+
+def _keys(nodes: np.ndarray, number: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """row·size + column of every entry of the matrices of groups (k, c), negative where it is of a held one; and the
+    positions of those that are not."""
+    dofs = number[(6 * nodes[:, :, None] + np.arange(6)).reshape(len(nodes), -1)]
+    width = dofs.shape[1]
+    rows = np.repeat(dofs, width, axis=1).ravel()
+    columns = np.tile(dofs, (1, width)).ravel()
+    free = (rows >= 0) & (columns >= 0)
+    return np.where(free, rows.astype(np.int64) * size + columns, -1), np.flatnonzero(free)
 
 
 @functools.lru_cache(maxsize=32)
@@ -121,6 +147,7 @@ def nodal_tables(structure: Structure) -> Tables:
             index_array(free),
             index_array(held),
             index_array(place),
+            tuple(index_array(group.array) for group in structure.groups),
         )
 
 

@@ -27,8 +27,7 @@ from jaxshell.elements import corotational
 from jaxshell.elements.inertia import LINEAR_MASS
 from jaxshell.linear_solver import default_solver, linear_solve
 from jaxshell.mechanisms import check_supported, connected_parts
-from jaxshell.methods.static import StaticState
-from jaxshell.model import Model, pressure_stiffness, structure_of
+from jaxshell.model import Model, structure_of
 from jaxshell.scene import Scene
 from jaxshell.solution import Solution
 from jaxshell.sparsity import SparsityPattern
@@ -77,7 +76,7 @@ def natural_frequencies(
     _check_count(count, pattern.size)
     state = _initial_state(scene) if about is None else (about.displacements[-1], about.rotations[-1])
     time = jnp.zeros(()) if about is None else about.times[-1]
-    if about is not None and isinstance(about.state, StaticState):
+    if about is not None and about.analysis == "static":
         scene = proportional(scene)
     K, M, shift = _vibration_matrices(scene, tables, state, time)
     spare = 0 if rigid_modes else 6 * connected_parts(scene.mesh.triangles, scene.mesh.n_nodes)[0]
@@ -145,16 +144,16 @@ def _initial_state(scene: Scene):
 def _vibration_matrices(scene: Scene, tables: Tables, state, time):
     """Values of K and M over the free freedoms, and a scale of ω² below the bending frequencies."""
     model = Model.build(scene, tables)
-    x, R = model.gather((model.x0 + state[0], state[1]))
+    placed = model.x0 + state[0], state[1]
+    x, R = model.gather(placed)
     K = jax.vmap(corotational.tangent_stiffness)(x, R, model.elements)
-    if model.pressures:
-        K = K - jax.vmap(pressure_stiffness)(x, model.pressure(time))
+    following = model.following_stiffness(*placed, time)
     M = jax.vmap(mass_matrix)(R, model.elements)
     elements = model.elements
     # Plate rigidity D ~ the bending stiffness, an entry [force·length], of an element with like sides.
     rigidity = jnp.mean(jnp.trace(elements.K_bending, axis1=1, axis2=2)) / 6.0
     shift = rigidity / (jnp.mean(elements.mass_per_area) * model.size**4)
-    return model.assemble_matrix(K), model.assemble_matrix(M), shift
+    return model.assemble_matrix(K, following), model.assemble_matrix(M), shift
 
 
 @compiled
@@ -162,13 +161,13 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
     """Values of K and K_σ over the free freedoms, K_σ for load factor 1."""
     model = Model.build(scene, tables)
     n = model.x0.shape[0]
-    R = jnp.broadcast_to(jnp.eye(3), (n, 3, 3))
-    x, R = model.gather((model.x0, R))
+    at_rest = model.x0, jnp.broadcast_to(jnp.eye(3), (n, 3, 3))
+    x, R = model.gather(at_rest)
     matrices = jax.vmap(corotational.tangent_stiffness)(x, R, model.elements)
     held = model.held_displacement(1.0)
     moved = model.expand(jnp.zeros(model.tables.free.shape), held).reshape(n, 6)
     internal = model.assemble_vector(jnp.einsum("mij,mj->mi", matrices, model.gather(moved).reshape(-1, 18)))
-    loads = model.dead_load(1.0) + model.pressure_load(model.x0, 1.0)
+    loads = model.external_load(*at_rest, 1.0)
     K = model.assemble_matrix(matrices)
     free = linear_solve(default_solver(), handle, K, model.free(loads - internal))
     u = model.gather(model.expand(free, held).reshape(n, 6))
@@ -180,9 +179,7 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
         return corotational.stiffness(kin, f, element, None, material=0.0)
 
     K_sigma = jax.vmap(stress_stiffness)(x, R, u, model.elements)
-    if model.pressures:
-        K_sigma = K_sigma - jax.vmap(pressure_stiffness)(x, model.pressure(1.0))
-    return K, model.assemble_matrix(K_sigma)
+    return K, model.assemble_matrix(K_sigma, model.following_stiffness(*at_rest, 1.0))
 
 
 def mass_matrix(R: Float[Array, "3 3 3"], element: corotational.Element) -> Float[Array, "18 18"]:

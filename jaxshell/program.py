@@ -1,6 +1,6 @@
 """The compiled programs of a run: preparing it, scanning over fixed steps, trying steps under step control.
 
-Each is a jitted function of the model, the method and a `Carry`; `jaxshell.simulation` drives them from the host.
+Each is a jitted function of the model, a `Plan` and a `Carry`; `jaxshell.simulation` drives them from the host.
 """
 
 from typing import Any, NamedTuple
@@ -13,11 +13,10 @@ from jaxtyping import Array, Float, Int
 from jaxshell.assembly import Tables
 from jaxshell.compiled import compiled
 from jaxshell.gradients import Gradients, merge, scan_steps
-from jaxshell.linear_solver import Handle, LinearSolver
+from jaxshell.iteration import STEP_TOO_SMALL, SUCCESSFUL, Memory
 from jaxshell.methods.base import Method, Observation, Solvers
-from jaxshell.methods.static import StaticState
+from jaxshell.methods.state import State
 from jaxshell.model import Model
-from jaxshell.newton import STEP_TOO_SMALL, SUCCESSFUL, Linear, Memory, Newton
 from jaxshell.scene import WATCHABLE, Scene
 from jaxshell.step_control import Control, StepControl
 
@@ -32,6 +31,8 @@ class Record(NamedTuple):
     factorizations: Int[Array, ""]
     done: Any
     """Whether the step was taken and succeeded."""
+    reaction: Float[Array, " nh"] | None = None
+    """What the supports carried in the step, where it was asked for."""
 
 
 class Frame(NamedTuple):
@@ -48,30 +49,32 @@ class Carry(NamedTuple):
     result: Int[Array, ""]
 
 
-class Choices(NamedTuple):
-    """The static choices of a compiled run."""
+class Plan(NamedTuple):
+    """How steps are taken and what is recorded of them: made once on the host, and handed whole to every program."""
 
-    tangent: str
-    linear_solver: LinearSolver
+    method: Method
+    solvers: Solvers
+    watch: tuple[tuple[str, int, str], ...]
     save_every: int
-    watch: tuple
+    reactions: bool = False
 
 
 @compiled
-def prepare(scene: Scene, method: Method, newton: Newton, tables: Tables, handle: Handle, choices: Choices):
+def prepare(scene: Scene, tables: Tables, plan: Plan):
     """Model, start and its record."""
     model = Model.build(scene, tables)
-    state = method.start(model, scene, 0.0)
-    memory = Linear(choices.linear_solver, handle).memory(newton) if method.uses_matrix else None
+    state = plan.method.start(model, scene, 0.0)
+    memory = plan.solvers.linear.memory(plan.solvers.newton) if plan.method.uses_matrix else None
     zero = jnp.zeros((), jnp.int32)
-    return model, Carry(state, memory, zero + SUCCESSFUL), *first(model, method, state, choices)
+    return model, Carry(state, memory, zero + SUCCESSFUL), *first(model, plan, state)
 
 
 @compiled
-def first(model: Model, method: Method, state, choices: Choices):
-    """Record and frame of the state at the start."""
+def first(model: Model, plan: Plan, state):
+    """Record and frame of the state at the start; no balance has been solved, and no reaction is known."""
     zero = jnp.zeros((), jnp.int32)
-    return record(model, method, state, choices, zero, zero, jnp.array(True)), frame(model, state)
+    reaction = jnp.full(model.tables.held.shape, jnp.nan) if plan.reactions else None
+    return record(model, plan, state, reaction, zero, zero, jnp.array(True)), frame(model, state)
 
 
 def empty(shapes):
@@ -80,26 +83,26 @@ def empty(shapes):
 
 
 @compiled
-def run(model: Model, method: Method, newton: Newton, handle: Handle, choices: Choices, carry: Carry, steps):
+def run(model: Model, plan: Plan, carry: Carry, steps):
     """Scan over frames of `save_every` steps each; `steps` (dt, time at its end), (frames, save_every) each.
 
     A step with dt = 0 is none: it fills up the last chunk. After a failure no further step is taken.
     """
-    solvers = Solvers(newton, Linear(choices.linear_solver, handle), choices.tangent, differentiated=False)
 
     def one(carry: Carry, step):
         dt, end = step
 
         def take():
-            state, info, memory = method.step(model, carry.state, dt, solvers, carry.memory)
+            state, info, memory = plan.method.step(model, carry.state, dt, plan.solvers, carry.memory)
+            reaction = carried(model, plan, carry.state, state, dt)
             state = eqx.tree_at(lambda s: s.time, state, end)
             good = info.result == SUCCESSFUL
             state = jax.tree.map(lambda new, old: jnp.where(good, new, old), state, carry.state)
-            recorded = record(model, method, state, choices, info.iterations, info.factorizations, good)
+            recorded = record(model, plan, state, reaction, info.iterations, info.factorizations, good)
             return Carry(state, memory, info.result.astype(jnp.int32)), recorded
 
         def skip():
-            return carry, empty(jax.eval_shape(lambda: first(model, method, carry.state, choices))[0])
+            return carry, empty(jax.eval_shape(lambda: first(model, plan, carry.state))[0])
 
         return jax.lax.cond((dt > 0) & (carry.result == SUCCESSFUL), take, skip)
 
@@ -111,35 +114,41 @@ def run(model: Model, method: Method, newton: Newton, handle: Handle, choices: C
     return carry, jax.tree.map(merge, records), frames
 
 
-def record(model, method, state, choices: Choices, iterations, factorizations, done) -> Record:
-    values = [watched(model, state, node, component) for _, node, component in choices.watch]
+def carried(model: Model, plan: Plan, before, after, dt) -> Float[Array, " nh"] | None:
+    """Reactions of the balance that the method solved in the step, where they are recorded.
+
+    Accelerations and spins live in the states of a step, not in the frames of a solution: so they are taken here.
+    """
+    if not plan.reactions:
+        return None
+    return plan.method.unbalanced(model, before, after, dt).reshape(-1)[model.tables.held]
+
+
+def record(model: Model, plan: Plan, state, reaction, iterations, factorizations, done) -> Record:
+    """What is kept of the step that led to `state`."""
+    values = [watched(model, state, node, component) for _, node, component in plan.watch]
     values = jnp.stack(values) if values else jnp.zeros(0)
-    return Record(state.time, values, method.observe(model, state), iterations, factorizations, done)
+    observed = plan.method.observe(model, state)
+    return Record(state.time, values, observed, iterations, factorizations, done, reaction)
 
 
-def watched(model, state, node: int, component: str):
+def watched(model: Model, state: State, node: int, component: str):
+    """A component out of WATCHABLE at a node."""
     axis = WATCHABLE.index(component) % 3
-    return (state.v if component[0] == "v" else displacements(model, state))[node, axis]
+    return (state.v if component[0] == "v" else state.displacements(model.x0))[node, axis]
 
 
-def frame(model: Model, state) -> Frame:
-    return Frame(state.time, displacements(model, state), state.R, state.v)
-
-
-def displacements(model, state) -> Float[Array, "n 3"]:
-    """A state of statics keeps them, the others keep positions."""
-    return state.d if isinstance(state, StaticState) else state.x - model.x0
+def frame(model: Model, state: State) -> Frame:
+    """The shape and the motion of all nodes."""
+    return Frame(state.time, state.displacements(model.x0), state.R, state.v)
 
 
 @compiled
-def run_whole(
-    model: Model, method: Method, newton: Newton, handle: Handle, choices: Choices, gradients: Gradients, carry, steps
-):
+def run_whole(model: Model, plan: Plan, gradients: Gradients, carry, steps):
     """A whole run in one program, for transformations by JAX; `steps` (dt, time at its end), (N,) each.
 
     The state after a failed step is NaN. The steps that follow see that at once and cost one residual each.
     """
-    solvers = Solvers(newton, Linear(choices.linear_solver, handle), choices.tangent)
 
     def one(carry: Carry, step):
         dt, end = step
@@ -147,17 +156,18 @@ def run_whole(
         if gradients.repeats_newton and memory is not None:
             # A step done again must come out as it did at first, whatever has been factored since.
             memory = eqx.tree_at(lambda m: m.stale, memory, jnp.array(True))
-        state, info, memory = method.step(model, carry.state, dt, solvers, memory)
+        state, info, memory = plan.method.step(model, carry.state, dt, plan.solvers, memory)
+        reaction = carried(model, plan, carry.state, state, dt)
         state = eqx.tree_at(lambda s: s.time, state, end)
         result = jnp.where(carry.result == SUCCESSFUL, info.result.astype(jnp.int32), carry.result)
         good = result == SUCCESSFUL
         # As a factor, so that what is differentiated through a failure is NaN too.
         factor = jnp.where(good, 1.0, jnp.nan)
         state = jax.tree.map(lambda a: a * factor if jnp.issubdtype(a.dtype, jnp.inexact) else a, state)
-        recorded = record(model, method, state, choices, info.iterations, info.factorizations, good)
+        recorded = record(model, plan, state, reaction, info.iterations, info.factorizations, good)
         return Carry(state, memory, result), recorded
 
-    return scan_steps(gradients, one, lambda carry: frame(model, carry.state), carry, steps, choices.save_every)
+    return scan_steps(gradients, one, lambda carry: frame(model, carry.state), carry, steps, plan.save_every)
 
 
 class Attempts(NamedTuple):
@@ -170,20 +180,16 @@ class Attempts(NamedTuple):
 @compiled
 def try_steps(
     model: Model,
-    method: Method,
-    newton: Newton,
-    handle: Handle,
-    choices: Choices,
+    plan: Plan,
     control: StepControl,
     attempts: Attempts,
     stops: Float[Array, " s"],
-    chunk: Int[Array, " c"],
+    chunk: Float[Array, " c"],
 ):
     """As many attempts at a step as `chunk` is long; `stops` are the times to land on, the last ends the run.
 
     Returns the carry, a record and a frame per attempt; `done` marks the accepted steps.
     """
-    solvers = Solvers(newton, Linear(choices.linear_solver, handle), choices.tangent, differentiated=False)
 
     def attempt(attempts: Attempts, _):
         carry, now = attempts
@@ -191,7 +197,8 @@ def try_steps(
         dt, lands = control.next_step(now, stop)
 
         def take():
-            state, info, memory = method.step(model, carry.state, dt, solvers, carry.memory)
+            state, info, memory = plan.method.step(model, carry.state, dt, plan.solvers, carry.memory)
+            reaction = carried(model, plan, carry.state, state, dt)
             state = eqx.tree_at(lambda s: s.time, state, jnp.where(lands, stop, state.time))
             solved = info.result == SUCCESSFUL
             after, accepted = control.judge(now, dt, solved, state, model.size, stops[-1])
@@ -199,11 +206,11 @@ def try_steps(
             small = ~accepted & (after.dt < control.smallest)
             failure = jnp.where(solved, STEP_TOO_SMALL, info.result).astype(jnp.int32)
             result = jnp.where(small, failure, SUCCESSFUL)
-            recorded = record(model, method, state, choices, info.iterations, info.factorizations, accepted)
+            recorded = record(model, plan, state, reaction, info.iterations, info.factorizations, accepted)
             return Attempts(Carry(state, memory, result), after), (recorded, frame(model, state))
 
         def skip():
-            return attempts, empty(jax.eval_shape(lambda: first(model, method, carry.state, choices)))
+            return attempts, empty(jax.eval_shape(lambda: first(model, plan, carry.state)))
 
         active = (carry.result == SUCCESSFUL) & (now.time < stops[-1])
         return jax.lax.cond(active, take, skip)

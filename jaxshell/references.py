@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
-from jaxshell.loads import Pressure
+from jaxshell.loads import DeadLoad
 from jaxshell.mesh import triangle_areas
 from jaxshell.scene import Scene
 from jaxshell.solution import Solution
@@ -135,23 +135,23 @@ def shipped_reference(scene: Scene) -> Reference | None:
 def fingerprint(scene: Scene) -> Float[np.ndarray, "7"]:
     """Numbers that change with a scene's mesh, section and loads: whether a stored reference is of this scene."""
     x0, triangles = np.asarray(scene.mesh.nodes), scene.mesh.connectivity.array
-    section = scene.section.per_element(scene.mesh.n_elements)
+    section = scene.section.resultants(scene.mesh)
     area = 2.0 * triangle_areas(x0, triangles)  # The files were made with twice the areas.
-    h, E, nu, rho = (
-        np.asarray(getattr(section, name)) for name in ("thickness", "young_modulus", "poisson_ratio", "density")
-    )
+    A, D, mass = (np.asarray(a) for a in (section.A, section.D, section.mass_per_area))
+    nu = A[:, 0, 1] / A[:, 0, 0]
+    h = np.sqrt(12.0 * D[:, 0, 0] / A[:, 0, 0])
     load = sum(
-        np.abs(load.nodal(scene.mesh.nodes, triangles, rho * h)).sum() * np.abs(load.history.values).sum()
+        np.abs(load.nodal(scene.mesh.nodes, triangles, mass)).sum() * np.abs(load.history.values).sum()
         for load in scene.loads
-        if not isinstance(load, Pressure)
+        if isinstance(load, DeadLoad)
     )
     return np.array(
         [
             scene.mesh.n_nodes,
             np.linalg.norm(x0),
             len(scene.held_dofs),
-            area @ (E * h),
-            area @ (rho * h) * (1 + nu.mean()),
+            area @ (A[:, 0, 0] * (1 - nu**2)),
+            area @ mass * (1 + nu.mean()),
             area @ h**3,
             float(load),
         ]
@@ -161,8 +161,7 @@ def fingerprint(scene: Scene) -> Float[np.ndarray, "7"]:
 def nodal_weights(scene: Scene) -> Float[np.ndarray, " n"]:
     """Each node's share of the mass, for linear displacements: a third of its elements'."""
     x0, triangles = np.asarray(scene.mesh.nodes), scene.mesh.connectivity.array
-    section = scene.section.per_element(scene.mesh.n_elements)
-    mass = triangle_areas(x0, triangles) * np.asarray(section.density * section.thickness)
+    mass = triangle_areas(x0, triangles) * np.asarray(scene.section.mass_per_area(scene.mesh))
     share = np.zeros(len(x0))
     np.add.at(share, triangles.ravel(), np.repeat(mass, 3))
     return share / share.sum()

@@ -72,8 +72,8 @@ def momentum_scales(run: Solution) -> tuple[float, float]:
     """√(2 M K), the most linear momentum that the largest kinetic energy can carry (M the shell's mass), and that
     times the shell's size (the diagonal of its bounding box): what a change of the momenta is measured against."""
     mesh = run.scene.mesh
-    nodes, section = np.asarray(mesh.nodes), run.scene.section.per_element(mesh.n_elements)
-    mass = float(np.sum(np.asarray(section.density * section.thickness) * triangle_areas(nodes, mesh.triangles)))
+    nodes = np.asarray(mesh.nodes)
+    mass = float(np.asarray(run.scene.section.mass_per_area(mesh)) @ triangle_areas(nodes, mesh.triangles))
     linear = float(np.sqrt(2 * mass * np.max(np.asarray(run.energy.kinetic))))
     return linear, linear * float(np.linalg.norm(np.ptp(nodes, axis=0)))
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-_WRONG = "restart must be a solution of the same scene, method and reactions, with its final state."
+_WRONG = "restart must be a solution of the same scene and method, with its final state."
 
 
 def named(state: Any) -> dict[str, Any]:
@@ -23,8 +23,14 @@ def restored(state: Any, like: Any) -> Any:
         if jax.tree.structure(state) != jax.tree.structure(like):
             raise ValueError(_WRONG)
         return state
-    wanted = named(like)
+    wanted, state = named(like), _as_written_now(state)
     if {name: np.shape(a) for name, a in state.items()} != {name: np.shape(a) for name, a in wanted.items()}:
         raise ValueError(_WRONG)
     leaves = [jnp.asarray(state[name], a.dtype) for name, a in wanted.items()]
     return jax.tree.unflatten(jax.tree.structure(like), leaves)
+
+
+def _as_written_now(state: dict[str, Any]) -> dict[str, Any]:
+    """Version 0.1 wrapped the state of a run with reactions: `own.` before its names, and the reactions beside it."""
+    own = {name.removeprefix("own."): array for name, array in state.items() if name.startswith("own.")}
+    return own or state

@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxshell.checks import check_finite, check_shape, float_array, is_concrete
+from jaxshell.contribution import Contribution
 from jaxshell.frozen import Frozen
 from jaxshell.loads import Load
 from jaxshell.mesh import Mesh
-from jaxshell.section import Section
+from jaxshell.section import AnySection
 from jaxshell.supports import Support
 
 WATCHABLE = ("ux", "uy", "uz", "vx", "vy", "vz")
@@ -89,7 +90,7 @@ class Scene(eqx.Module):
     """
 
     mesh: Mesh
-    section: Section
+    section: AnySection
     supports: tuple[Support, ...]
     loads: tuple[Load, ...]
     initial: Initial | None
@@ -100,7 +101,7 @@ class Scene(eqx.Module):
     def __init__(
         self,
         mesh: Mesh,
-        section: Section,
+        section: AnySection,
         supports: Sequence[Support] = (),
         loads: Sequence[Load] = (),
         initial: Initial | None = None,
@@ -120,8 +121,8 @@ class Scene(eqx.Module):
         self.defaults = defaults
 
     def __check_init__(self):
-        n, m = self.mesh.n_nodes, self.mesh.n_elements
-        self.section.per_element(m)
+        n = self.mesh.n_nodes
+        self.section.check(self.mesh)
         for kind, objects in (("support", self.supports), ("load", self.loads)):
             for position, item in enumerate(objects):
                 nodes = getattr(item, "nodes", None)
@@ -132,9 +133,10 @@ class Scene(eqx.Module):
             if component not in WATCHABLE:
                 raise ValueError(f"watch {label!r} names {component!r}; choose out of {', '.join(WATCHABLE)}.")
         for position, load in enumerate(self.loads):
-            pressure = getattr(load, "pressure", None)
-            if pressure is not None and pressure.shape not in ((), (m,)):
-                raise ValueError(f"load {position}: pressure must be one value or {m}, but has shape {pressure.shape}.")
+            try:
+                load.check(self.mesh)
+            except ValueError as error:
+                raise ValueError(f"load {position}: {error}") from error
         if self.initial is not None:
             for name in ("velocities", "angular_velocities", "displacements"):
                 if getattr(self.initial, name) is not None:
@@ -155,6 +157,11 @@ class Scene(eqx.Module):
                 raise ValueError(
                     f"Freedom {('ux', 'uy', 'uz', 'rx', 'ry', 'rz')[dof]} of node {node} is prescribed by two supports."
                 )
+
+    @property
+    def contributions(self) -> tuple[Contribution, ...]:
+        """What follows the motion, in the order of the loads."""
+        return tuple(load for load in self.loads if isinstance(load, Contribution))
 
     @property
     def held_dofs(self) -> np.ndarray:

@@ -4,7 +4,8 @@
     [mesh]         generator and its arguments (see `jaxshell.generators`), or file (whatever meshio reads)
     [section]      thickness, young_modulus, poisson_ratio, density
     [[supports]]   nodes; hold = "clamped", "pinned", "symmetry x" or list; displacement, history
-    [[loads]]      kind = "force", "moment", "edge force", "gravity" or "pressure"; nodes; its vector; history
+    [[loads]]      kind = "force", "moment", "edge force", "gravity", "pressure" or "normal force"; nodes; its
+                   force, moment, acceleration, pressure or magnitude; history
     [watch]        label = { nearest or node, component }
     [initial]      velocity, angular_velocity, about: a rigid motion
     [run]          method, spectral_radius, dissipation, inertia, dt, t_end, save_every, tangent, picture_times,
@@ -22,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from jaxshell.generators import GENERATORS
-from jaxshell.loads import EdgeForce, Gravity, History, Load, NodalForce, NodalMoment, Pressure
+from jaxshell.history import History
+from jaxshell.loads import LOADS, Load
 from jaxshell.mesh import Mesh
 from jaxshell.scene import Defaults, Initial, Scene
 from jaxshell.section import Section
@@ -33,13 +35,7 @@ RUN_KEYS = (
     "picture_times", "newton_tolerance", "newton_reuse", "step_tolerance",
 )  # fmt: skip
 _SELECTORS = ("nodes", "nearest", "plane", "box", "boundary")
-_LOADS = {
-    "force": (NodalForce, "force"),
-    "moment": (NodalMoment, "moment"),
-    "edge force": (EdgeForce, "force"),
-    "gravity": (Gravity, "acceleration"),
-    "pressure": (Pressure, "pressure"),
-}
+_LOADS = {load.kind: load for load in LOADS}
 _SYMMETRY = {f"symmetry {normal}": symmetry([0], normal).dofs for normal in "xyz"}
 _HOLD = {"clamped": ALL, "pinned": ("ux", "uy", "uz"), **_SYMMETRY}
 
@@ -122,18 +118,18 @@ def _load(table: "_Table", mesh: Mesh) -> Load:
     if name not in _LOADS:
         choices = ", ".join(repr(choice) for choice in _LOADS)
         raise ValueError(f"{table.name} kind must be one of {choices}, but it is {name!r}.")
-    kind, value = _LOADS[name]
-    if name in ("gravity", "pressure"):
-        table.only("kind", value, "history")
-        return table.call(kind, table.get(value), _history(table))
-    table.only("kind", *_SELECTORS, value, "history")
+    load = _LOADS[name]
+    if load.acts_on == "shell":
+        table.only("kind", load.value, "history")
+        return table.call(load, table.get(load.value), _history(table))
+    table.only("kind", *_SELECTORS, load.value, "history")
     where = _nodes(table, mesh)
-    if kind is EdgeForce:
+    if load.acts_on == "edges":
         edges = mesh.boundary_edges()
         where = edges[np.isin(edges, where).all(axis=1)]
         if not len(where):
             raise ValueError(f"{table.name} No edge of the mesh's boundary has both its ends among the chosen nodes.")
-    return table.call(kind, where, table.get(value), _history(table))
+    return table.call(load, where, table.get(load.value), _history(table))
 
 
 def _history(table: "_Table") -> History | None:

@@ -86,6 +86,8 @@ class Solution(eqx.Module):
     reaction: Float[jax.Array, "k nh"] | None = None
     """Of a run with reactions=True: what the supports carry at the held freedoms [force, force·length], which
     `jaxshell.reactions` sorts by nodes."""
+    analysis: str = eqx.field(static=True, default="time")
+    """"time", or "static" where the times are load factors."""
 
     @property
     def step_sizes(self) -> Float[jax.Array, " k-1"]:

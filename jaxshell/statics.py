@@ -6,8 +6,8 @@ given load factors are taken as they are, in one program, and differentiated by 
 theorem.
 """
 
-import time
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,32 +19,30 @@ from jaxshell import program
 from jaxshell.assembly import Tables, analyse
 from jaxshell.checks import check_finite, is_concrete, require_float64
 from jaxshell.compiled import compiled
+from jaxshell.driver import (
+    Log,
+    Setup,
+    SimulationError,
+    check_options,
+    check_untraced,
+    is_traced,
+    result_of,
+    run_traced,
+    set_up,
+    single,
+)
 from jaxshell.gradients import Stored
-from jaxshell.linear_solver import LinearSolver, default_solver
-from jaxshell.loads import History
+from jaxshell.history import History
+from jaxshell.iteration import SUCCESSFUL
+from jaxshell.linear_solver import LinearSolver
 from jaxshell.mechanisms import check_supported
-from jaxshell.methods.base import Solvers
 from jaxshell.methods.static import Static, StaticState, reactions_at
 from jaxshell.model import Model, structure_of
-from jaxshell.newton import SUCCESSFUL, Linear, Newton
-from jaxshell.program import Choices
+from jaxshell.newton import Newton
+from jaxshell.program import Plan
 from jaxshell.progress import Progress
-from jaxshell.quoted import quote
 from jaxshell.scene import Scene
-from jaxshell.simulation import (
-    _RESULT_NAMES,
-    Run,
-    SimulationError,
-    _append,
-    _check_options,
-    _expand,
-    _floats_to_arrays,
-    _results,
-    _solution,
-    _traced_run,
-    _writer,
-)
-from jaxshell.solution import RESULTS, Solution, Stats
+from jaxshell.solution import RESULTS, Solution
 
 DEFAULT_NEWTON = Newton(tolerance=1e-12, reuse=False)
 """Tighter than in dynamics, so that loads and reactions are in balance to 1e-9."""
@@ -113,129 +111,111 @@ def solve_static(
     """
     require_float64()
     newton = DEFAULT_NEWTON if newton is None else newton
-    _check_options(scene, Static(), save_every, tangent, newton)
+    check_options(scene, Static(), save_every, tangent, newton)
     factors = _load_factors(load_factors)
     check_supported(scene)
-    linear_solver = default_solver() if linear_solver is None else linear_solver
-    tables, pattern = analyse(structure_of(scene))
-    handle = linear_solver.prepare(pattern)
-    as_arrays: Newton = _floats_to_arrays(newton)
-    choices = Choices(tangent, linear_solver, save_every, scene.watch)
-    if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, newton, factors))):
-        if output is not None or progress:
-            raise ValueError("output= and progress= need a run that is not traced by jax.grad, jax.vmap or jax.jit.")
+    traced = is_traced(scene, newton, factors)
+    setup = set_up(
+        scene,
+        Static(),
+        newton,
+        linear_solver=linear_solver,
+        tangent=tangent,
+        save_every=save_every,
+        differentiated=traced,
+    )
+    if traced:
+        check_untraced(output, progress)
         steps = jnp.diff(jnp.asarray(factors), prepend=0.0)
-        run = Run(proportional(scene), Static(), as_arrays, tables, handle, choices)
-        return eqx.tree_at(lambda s: s.scene, _traced_run(run, steps, None, Stored(), throw), scene)
+        loaded = setup._replace(scene=proportional(scene))
+        solution = run_traced(loaded, steps, Stored(), throw, analysis="static")
+        return eqx.tree_at(lambda s: s.scene, solution, scene)
     with Progress(float(factors[-1]), enabled=progress) as bar:
-        solution = _driven(scene, as_arrays, tables, handle, choices, factors, output, bar)
+        solution = _driven(setup, factors, output, bar)
     if throw and solution.message:
         raise SimulationError(solution.message, solution)
     return solution
 
 
 @compiled
-def _advance(model: Model, newton: Newton, handle, choices: Choices, state: StaticState, memory, step, end):
+def _advance(model: Model, plan: Plan, state: StaticState, memory, step, end):
     """One load step of size `step` to the load factor `end`: state, memory, result, record and frame."""
-    solvers = Solvers(newton, Linear(choices.linear_solver, handle), choices.tangent, differentiated=False)
-    state, info, memory = Static().step(model, state, step, solvers, memory)
+    state, info, memory = plan.method.step(model, state, step, plan.solvers, memory)
     state = eqx.tree_at(lambda s: s.time, state, end)
-    record = program.record(model, Static(), state, choices, info.iterations, info.factorizations, jnp.array(True))
+    record = program.record(model, plan, state, None, info.iterations, info.factorizations, jnp.array(True))
     return state, memory, info.result, record, program.frame(model, state)
 
 
-def _driven(scene, newton, tables, handle, choices: Choices, factors, output, bar) -> Solution:
-    begun = time.perf_counter()
-    model, carry, record, frame = program.prepare(proportional(scene), Static(), newton, tables, handle, choices)
-    state, memory = carry.state, carry.memory
-    log = Log(scene, choices.save_every, record, frame, output, Static(), newton, choices)
-    code, at, size = int(SUCCESSFUL), 0.0, np.inf
+class _Reached(NamedTuple):
+    """How far the load factor has come."""
+
+    state: StaticState
+    memory: Any
+    at: float
+    size: float
+    """The largest step to try next."""
+    code: int
+
+
+def _driven(setup: Setup, factors, output, bar) -> Solution:
+    log = StaticLog(setup, output)
+    model, carry, record, frame = setup.prepare(proportional(setup.scene))
+    now = _Reached(carry.state, carry.memory, 0.0, np.inf, int(SUCCESSFUL))
+    message = ""
     with log:
+        log.start(record, frame)
         for position, target in enumerate(factors):
-            smallest = abs(target - at) / 2**_CUTS
-            spent, reached = np.zeros(2, int), None
-            while at != target:
-                rest = target - at
-                # All of the rest where only round-off keeps it from fitting: no sliver of a step is left.
-                whole = abs(rest) <= size * (1 + 1e-6)
-                step, end = (rest, target) if whole else (np.copysign(size, rest), at + np.copysign(size, rest))
-                new, memory, code, record, frame = _advance(
-                    model, newton, handle, choices, state, memory, jnp.asarray(step), jnp.asarray(end)
-                )
-                code = int(code)
-                spent += int(record.iterations), int(record.factorizations)
-                if code == SUCCESSFUL:
-                    state, at, size, reached = new, float(end), max(size, 2 * abs(step)), (record, frame)
-                elif abs(step) / 2 < smallest:
-                    break
-                else:
-                    size = abs(step) / 2
-            if reached is not None:
-                log.append(*reached, spent, last=position == len(factors) - 1 or code != SUCCESSFUL)
-                bar.advance(log.latest)
-            if code != SUCCESSFUL:
+            now, found, spent = _reach(model, setup.plan, now, target)
+            failed = now.code != SUCCESSFUL
+            if found is not None:
+                log.step(*found, spent, last=failed or position == len(factors) - 1)
+                bar.advance(log.records[-1])
+            if failed:
+                message = _message(now.code, now.at, target)
                 break
-        message = "" if code == SUCCESSFUL else _message(code, at, factors[position])
-        stats = log.finish(code, message, time.perf_counter() - begun)
-    return log.solution(state, code, message, stats)
+        return log.finish(now.state, now.code, message)
 
 
-class Log:
-    """What a run driven step by step has finished: records, frames, and the result file that gets them."""
+def _reach(model: Model, plan: Plan, now: _Reached, target):
+    """Go to the load factor `target`, halving steps that fail and letting them grow back.
 
-    def __init__(self, scene, save_every: int, record, frame, output, method, newton, choices: Choices):
-        self.scene, self.save_every, self.choices, self.newton = scene, save_every, choices, newton
-        self.method = method
-        self.records, self.frames = [_expand(record)], [_expand(frame)]
-        settings = {
-            "method": quote(method),
-            "newton": quote(newton),
-            "tangent": choices.tangent,
-            "save_every": save_every,
-        }
-        self.context = _writer(output, scene, settings)
+    Returns (where that led, the last step's record and frame if there was one, iterations and factorizations).
+    """
+    state, memory, at, size, code = now
+    smallest = abs(target - at) / 2**_CUTS
+    spent, found = np.zeros(2, int), None
+    while at != target:
+        rest = target - at
+        # All of the rest where only round-off keeps it from fitting: no sliver of a step is left.
+        whole = abs(rest) <= size * (1 + 1e-6)
+        step, end = (rest, target) if whole else (np.copysign(size, rest), at + np.copysign(size, rest))
+        new, memory, code, record, frame = _advance(model, plan, state, memory, jnp.asarray(step), jnp.asarray(end))
+        code = int(code)
+        spent += int(record.iterations), int(record.factorizations)
+        if code == SUCCESSFUL:
+            state, at, size, found = new, float(end), max(size, 2 * abs(step)), (record, frame)
+        elif abs(step) / 2 < smallest:
+            break
+        else:
+            size = abs(step) / 2
+    return _Reached(state, memory, at, size, code), found, spent
 
-    def __enter__(self):
-        self.writer = self.context.__enter__()
-        _append(self.writer, self.scene, self.records[0], self.frames[0])
-        return self
 
-    def __exit__(self, *error):
-        return self.context.__exit__(*error)
+class StaticLog(Log):
+    """The log of an analysis that goes step by step along a path of equilibria."""
 
-    @property
-    def latest(self):
-        return self.records[-1]
+    def __init__(self, setup: Setup, output):
+        super().__init__(setup.scene, setup.plan, output, analysis="static")
 
-    def append(self, record, frame, spent, last: bool = False) -> None:
+    def start(self, record, frame) -> None:
+        """The start of the path."""
+        self.append(single(record), single(frame))
+
+    def step(self, record, frame, spent, last: bool = False) -> None:
         """A finished step that cost `spent` = (iterations, factorizations); `last` always keeps its frame."""
         record = record._replace(iterations=np.asarray(spent[0]), factorizations=np.asarray(spent[1]))
-        self.records.append(_expand(record))
-        keep = last or (len(self.records) - 1) % self.save_every == 0
-        frame = jax.tree.map(lambda a: a if keep else a[:0], _expand(frame))
-        self.frames.append(frame)
-        _append(self.writer, self.scene, self.records[-1], frame)
-
-    def finish(self, code: int, message: str, wall_time: float) -> Stats:
-        """Figures of the run, also for the file."""
-        stats = Stats(
-            method=quote(self.method),
-            newton=quote(self.newton),
-            linear_solver=type(self.choices.linear_solver).__name__,
-            tangent=self.choices.tangent,
-            steps=len(self.records) - 1,
-            iterations=int(sum(int(r.iterations[0]) for r in self.records)),
-            factorizations=int(sum(int(r.factorizations[0]) for r in self.records)),
-            wall_time=wall_time,
-        )
-        if self.writer is not None:
-            self.writer.finish(_RESULT_NAMES[code], message, stats)
-        return stats
-
-    def solution(self, state, code: int, message: str, stats: Stats) -> Solution:
-        record, frame = (jax.tree.map(lambda *a: np.concatenate(a), *parts) for parts in (self.records, self.frames))
-        result = _results()[code]
-        return _solution(self.scene, record, frame, state, result, message, stats, jnp.asarray)
+        keep = last or (self.steps + 1) % self.plan.save_every == 0
+        self.append(single(record), jax.tree.map(lambda a: a if keep else a[:0], single(frame)))
 
 
 def reactions(solution: Solution) -> Float[Array, "*k n 6"]:
@@ -255,11 +235,10 @@ def reactions(solution: Solution) -> Float[Array, "*k n 6"]:
         n, steps = solution.scene.mesh.n_nodes, solution.reaction.shape[:-1]
         nodal = jnp.zeros((*steps, 6 * n)).at[..., solution.scene.held_dofs].set(solution.reaction)
         return nodal.reshape(*steps, n, 6)
-    method = solution.stats.get("method", "")
-    if not (isinstance(solution.state, StaticState) or method.startswith("Static")):
+    if solution.analysis != "static":
         raise ValueError(
-            f"reactions() of a run in time need simulate(..., reactions=True), which this run of {method!r} "
-            "was made without."
+            "reactions() of a run in time need simulate(..., reactions=True), which this run of "
+            f"{solution.stats.get('method', '')!r} was made without."
         )
     tables, _ = analyse(structure_of(solution.scene))
     frames = solution.displacements, solution.rotations, solution.frame_times
@@ -293,5 +272,5 @@ def _message(code: int, at: float, target: float) -> str:
     return (
         f"Equilibrium was followed to load factor {at:.6g} and not found between it and {target:.6g}, with "
         f"steps halved {_CUTS} times. Past a limit point only solve_arc_length can go on. "
-        f"The last attempt: {RESULTS[_results()[code]]}"
+        f"The last attempt: {RESULTS[result_of(code)]}"
     )

@@ -114,7 +114,7 @@ class StepControl(eqx.Module):
         span = horizon - now.began
         left = jnp.where(jnp.isinf(horizon), 1.0, jnp.where(span > 0, (horizon - now.time) / span, 0.0))
         tolerance = self.tolerance / jnp.maximum(left, _LATE)
-        relative = local_error(state.rates[:3, :, :3], dt, now.taken) / size / tolerance
+        relative = local_error(state.mean_velocities[:3], dt, now.taken) / size / tolerance
         relative = jnp.where(jnp.isfinite(relative), relative, jnp.inf)
         accepted = solved & (relative <= _ACCEPT)
         factor = _SAFETY * jnp.maximum(relative, 1e-12) ** (-1.0 / 3.0)

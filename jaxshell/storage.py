@@ -15,9 +15,9 @@ Rotations are unit quaternions (w, x, y, z), 4 numbers in place of 9; a rotation
 Files grow chunk by chunk while a run goes on, and what has been written stays readable when it is killed.
 """
 
+import contextlib
 import dataclasses
 import json
-import typing
 from pathlib import Path
 from typing import Any
 
@@ -28,37 +28,41 @@ import numpy as np
 
 from jaxshell.checks import require_float64
 from jaxshell.frozen import Frozen
-from jaxshell.loads import History, Load
+from jaxshell.history import History
+from jaxshell.loads import LOADS
 from jaxshell.mesh import Mesh
+from jaxshell.output import Output
 from jaxshell.restart import named
 from jaxshell.scene import Defaults, Initial, Scene
-from jaxshell.section import Section
+from jaxshell.section import SECTIONS
 from jaxshell.solution import RESULTS, Energy, Momentum, Solution, Stats
 from jaxshell.supports import Support
 from jaxshell.version import version
 
 FORMAT, SCHEMA = "jaxshell", 1
-_KINDS = {kind.__name__: kind for kind in (Mesh, Section, Support, History, Initial, *typing.get_args(Load))}
+_KINDS = {kind.__name__: kind for kind in (Mesh, *SECTIONS, Support, History, Initial, *LOADS)}
 _ENERGY = tuple(field.name for field in dataclasses.fields(Energy))
 _MOMENTUM = tuple(field.name for field in dataclasses.fields(Momentum))
 _INTERRUPTED = "The run was stopped before its end: the file holds the {steps} steps up to time {time:.6g}."
 
 
-class ResultWriter:
-    """Write a run into an HDF5 file as it goes; a context manager.
+class ResultWriter(Output):
+    """Write a run into an HDF5 file as it goes.
 
     Arguments:
-        path: the file; an existing one is replaced.
-        scene: stored whole. Must be concrete (not traced by jit, grad or vmap).
-        settings: how the scene is run (method, dt, ...): anything that JSON can hold, for reruns and legends.
-        reactions: whether the run records them.
+        path: the file; an existing one is replaced when the run begins.
 
     A run that ends without `finish` (killed, or left by an exception) keeps everything appended so far.
     """
 
-    def __init__(self, path, scene: Scene, settings: dict, reactions: bool = False):
+    def __init__(self, path):
+        self.path = path
+        self._file: Any = None
+
+    def begin(self, scene: Scene, settings: dict) -> None:
+        """Store the scene, which must be concrete (not traced by jit, grad or vmap), and the settings."""
         self._labels = [label for label, _, _ in scene.watch]
-        self._file = _open(path, "w")
+        self._file = _open(self.path, "w")
         self._file.attrs.update(format=FORMAT, schema=SCHEMA, jaxshell=version(), settings=_to_json(settings))
         _write_scene(self._file.create_group("scene"), scene)
         histories, frames = self._file.create_group("histories"), self._file.create_group("frames")
@@ -68,7 +72,7 @@ class ResultWriter:
         _growing(histories, "iterations", (), np.int64)
         for name in _MOMENTUM:
             _growing(histories, f"momentum/{name}", (3,))
-        if reactions:
+        if settings.get("reactions"):
             _growing(histories, "reaction", (scene.held_dofs.size,))
         _growing(frames, "times", ())
         n = scene.mesh.n_nodes
@@ -76,29 +80,25 @@ class ResultWriter:
             _growing(frames, name, (n, width), compressed=True)
         self._file.flush()
 
-    def append(
-        self, times, watched, energy, momentum, iterations, frame_times, displacements, rotations, velocities,
-        reaction=None, state=None,
-    ) -> None:  # fmt: skip
-        """Add k steps and f frames, shaped as in `Solution`: `watched` a dict of (k,), `energy` an Energy,
-        `momentum` a Momentum, rotations (f, n, 3, 3). Either may be none (k or f = 0). `state` replaces the last."""
+    def append(self, part: Solution) -> None:
+        """Add the steps and frames of `part`; its state replaces the last."""
         histories, frames = self._file["histories"], self._file["frames"]
         # Frames first: a run killed between the two then never has a step without its frame.
-        _extend(frames["displacements"], displacements)
-        _extend(frames["rotations"], matrices_to_quaternions(np.asarray(rotations)))
-        _extend(frames["velocities"], velocities)
-        _extend(frames["times"], frame_times)
+        _extend(frames["displacements"], part.displacements)
+        _extend(frames["rotations"], matrices_to_quaternions(np.asarray(part.rotations)))
+        _extend(frames["velocities"], part.velocities)
+        _extend(frames["times"], part.frame_times)
         for label in self._labels:
-            _extend(histories[f"watched/{_dataset_name(label)}"], watched[label])
+            _extend(histories[f"watched/{_dataset_name(label)}"], part.watched[label])
         for name in _ENERGY:
-            _extend(histories[f"energy/{name}"], getattr(energy, name))
+            _extend(histories[f"energy/{name}"], getattr(part.energy, name))
         for name in _MOMENTUM:
-            _extend(histories[f"momentum/{name}"], getattr(momentum, name))
-        if reaction is not None:
-            _extend(histories["reaction"], reaction)
-        _extend(histories["iterations"], iterations)
-        _extend(histories["times"], times)
-        for name, leaf in {} if state is None else named(state).items():
+            _extend(histories[f"momentum/{name}"], getattr(part.momentum, name))
+        if part.reaction is not None:
+            _extend(histories["reaction"], part.reaction)
+        _extend(histories["iterations"], part.iterations)
+        _extend(histories["times"], part.times)
+        for name, leaf in {} if part.state is None else named(part.state).items():
             array = np.asarray(leaf)
             self._file.require_dataset(f"state/{name}", array.shape, array.dtype)[...] = array
         self._file.flush()
@@ -112,13 +112,8 @@ class ResultWriter:
         self._file.flush()
 
     def close(self) -> None:
-        self._file.close()
-
-    def __enter__(self) -> "ResultWriter":
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()
+        if self._file is not None:
+            self._file.close()
 
 
 def save_solution(solution: Solution, path) -> None:
@@ -128,20 +123,9 @@ def save_solution(solution: Solution, path) -> None:
             f"A solution of one run can be saved, but its times have shape {np.shape(solution.times)}. "
             "Index the batch first."
         )
-    with ResultWriter(path, solution.scene, solution.stats, solution.reaction is not None) as writer:
-        writer.append(
-            solution.times,
-            solution.watched,
-            solution.energy,
-            solution.momentum,
-            solution.iterations,
-            solution.frame_times,
-            solution.displacements,
-            solution.rotations,
-            solution.velocities,
-            solution.reaction,
-            solution.state,
-        )
+    with contextlib.closing(ResultWriter(path)) as writer:
+        writer.begin(solution.scene, {**solution.stats, "reactions": solution.reaction is not None})
+        writer.append(solution)
         writer.finish(result_name(solution.result), solution.message, solution.stats)
 
 
@@ -189,6 +173,7 @@ def load_solution(path) -> Solution:
                 stats=stats,
                 state={name: jnp.asarray(d[()]) for name, d in file["state"].items()} if "state" in file else None,
                 reaction=jnp.asarray(single["reaction"][:k]) if "reaction" in single else None,
+                analysis="static" if stats.get("method", "").startswith("Static(") else "time",
             )
         except (KeyError, OSError, AttributeError, json.JSONDecodeError) as error:
             raise ValueError(f"{path} is damaged: {error}. Run the scene again.") from error

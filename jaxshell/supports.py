@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxshell.checks import check_finite, float_array, is_concrete, node_indices
 from jaxshell.frozen import Frozen
-from jaxshell.loads import History
+from jaxshell.history import History
 
 DOFS = ("ux", "uy", "uz", "rx", "ry", "rz")
 ALL = DOFS

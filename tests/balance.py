@@ -21,7 +21,7 @@ def imbalance(solution) -> float:
     worst = 0.0
     for k, factor in enumerate(np.asarray(solution.frame_times)):
         x = x0 + np.asarray(solution.displacements[k])
-        applied = np.asarray(model.dead_load(factor) + model.pressure_load(jnp.asarray(x), factor))
+        applied = np.asarray(model.external_load(jnp.asarray(x), jnp.asarray(solution.rotations[k]), factor))
         scale = sum(np.abs(f[:, :3]).sum() + np.abs(f[:, 3:]).sum() / size for f in (applied, carried[k]))
         total = applied + carried[k]
         moment = (np.cross(x - x0.mean(axis=0), total[:, :3]) + total[:, 3:]).sum(axis=0)

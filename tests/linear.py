@@ -4,11 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sparse
+from isotropic import bending_stiffness, membrane_stiffness
 from scipy.sparse.linalg import spsolve
 
-from jaxshell.elements.bending import bending_stiffness
 from jaxshell.elements.corotational import local_frame
-from jaxshell.elements.membrane import membrane_stiffness
 
 _BATCH = 64
 _MEMBRANE = np.array([0, 1, 5, 6, 7, 11, 12, 13, 17])

@@ -18,9 +18,10 @@ import jaxshell as js
 from jaxshell import generators
 from jaxshell.assembly import analyse
 from jaxshell.elements.corotational import internal_force
+from jaxshell.iteration import Linear
+from jaxshell.loads.pressure import pressure_force
 from jaxshell.methods.base import Observation, Solvers
-from jaxshell.model import Model, pressure_force, structure_of
-from jaxshell.newton import Linear
+from jaxshell.model import Model, structure_of
 
 CLOSED = 1e-10
 """Of the sum of the sizes of what is in balance, besides what Newton leaves at the free freedoms."""
@@ -88,13 +89,18 @@ def steps_of(scene, method, dt, tables, handle) -> March:
     solvers = Solvers(NEWTON, Linear(js.Dense(), handle), "closed_form")
     first = method.start(model, scene, 0.0)
 
+    def pressure_at(time):
+        """On every element alike."""
+        (acting,) = model.contributions
+        return acting.contribution.history(time) * acting.data[0]
+
     def state_of(state):
         return (
             method.observe(model, state),
             state.x,
             state.R,
             model.dead_load(state.time),
-            model.pressure(state.time)[0],
+            pressure_at(state.time),
         )
 
     def unit_pressure(x):

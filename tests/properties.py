@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import isotropic
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,13 +10,11 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from jaxshell.elements.corotational import Element
-
 # Compiling makes the first example slow; the same examples in every run keep failures reproducible.
 PROFILE = settings(deadline=None, derandomize=True, max_examples=40, database=None)
 EPS = np.finfo(float).eps
 
-build = jax.jit(Element.build)
+build = jax.jit(isotropic.element)
 
 
 def numbers(low, high):

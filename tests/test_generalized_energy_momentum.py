@@ -11,10 +11,12 @@ import jaxshell as js
 from jaxshell.assembly import analyse
 from jaxshell.elements.inertia import Spins
 from jaxshell.generators import rectangle
+from jaxshell.iteration import Linear
+from jaxshell.loads.pressure import pressure_force, pressure_stiffness
 from jaxshell.methods.base import Solvers, _problem
 from jaxshell.methods.generalized_energy_momentum import GEMState
-from jaxshell.model import Model, pressure_force, pressure_stiffness, structure_of
-from jaxshell.newton import Linear, Newton
+from jaxshell.model import Model, structure_of
+from jaxshell.newton import Newton
 from jaxshell.rotations import exp
 
 SECTION = js.Section(0.02, 1e6, 0.3, 1000.0)
@@ -118,7 +120,7 @@ def test_pressure_stiffness_is_the_derivative():
     x = jnp.asarray(np.random.default_rng(0).normal(size=(3, 3)))
 
     def force(dq):
-        return pressure_force(x + dq.reshape(3, 2, 3)[:, 0], 2.5)
+        return pressure_force(x + dq.reshape(3, 2, 3)[:, 0], 2.5).reshape(18)
 
     assert relative_error(pressure_stiffness(x, 2.5), jax.jacfwd(force)(jnp.zeros(18))) < 1e-13
 

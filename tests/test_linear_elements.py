@@ -3,16 +3,15 @@
 from functools import partial
 from pathlib import Path
 
+import isotropic
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from jaxshell.elements import bending, membrane
-
-membrane_stiffness = jax.jit(membrane.membrane_stiffness)
-bending_stiffness = jax.jit(bending.bending_stiffness)
+membrane_stiffness = jax.jit(isotropic.membrane_stiffness)
+bending_stiffness = jax.jit(isotropic.bending_stiffness)
 plane_stress_matrix = jax.jit(membrane.plane_stress_matrix)
 
 DATA = Path(__file__).parent / "data"

@@ -6,18 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxshell.iteration import DIVERGED, SINGULAR, STAGNATED, SUCCESSFUL, Linear, Problem
 from jaxshell.linear_solver import Dense
 from jaxshell.methods.base import Balance
-from jaxshell.newton import (
-    DIVERGED,
-    SINGULAR,
-    STAGNATED,
-    SUCCESSFUL,
-    Linear,
-    Newton,
-    Problem,
-    attach_derivative,
-)
+from jaxshell.newton import Newton, attach_derivative
 from jaxshell.sparsity import SparsityPattern
 
 PATTERN = SparsityPattern(2, np.array([0, 2, 4]), np.array([0, 1, 0, 1]))

@@ -22,10 +22,10 @@ from properties import PROFILE, powers
 import jaxshell as js
 from jaxshell.assembly import analyse
 from jaxshell.elements.inertia import Spins
+from jaxshell.iteration import Linear
 from jaxshell.methods import seven_point
 from jaxshell.methods.base import Solvers
 from jaxshell.model import Model, structure_of
-from jaxshell.newton import Linear
 from jaxshell.rotations import skew
 
 ROUND_OFF = 1e-13
@@ -55,7 +55,7 @@ def states_of(scene, method, dt, tables, handle, own):
 
     def look(state):
         observed = method.observe(model, state)
-        loads = model.dead_load(state.time) + model.pressure_load(state.x, state.time)
+        loads = model.external_load(state.x, state.R, state.time)
         momenta = jnp.concatenate([observed.linear, observed.angular])
         return Look(state.x, momenta, loads, model.dead_load(state.time + 0.5 * dt), own(model, state))
 

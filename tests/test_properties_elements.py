@@ -6,6 +6,7 @@ the local frame multiplies one of a coordinate by the largest coordinate over th
 
 from typing import NamedTuple
 
+import isotropic
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +19,6 @@ from scipy.spatial.transform import Rotation
 import jaxshell as js
 from jaxshell import rotations
 from jaxshell.elements import corotational, energy_momentum
-from jaxshell.elements.corotational import Element
 from jaxshell.elements.inertia import PointStart, StepFactors
 from jaxshell.methods import seven_point
 from jaxshell.methods.energy_momentum import DirectorMotion, director_inertia_forces
@@ -321,7 +321,7 @@ def stiffness_at_rest(x0, values, Q):
     def one(shift):
         turned = jnp.roll(x0, -shift, axis=0)
         R = jnp.broadcast_to(Q, (3, 3, 3))
-        K = corotational.tangent_stiffness(turned @ Q.T, R, Element.build(turned, *values))
+        K = corotational.tangent_stiffness(turned @ Q.T, R, isotropic.element(turned, *values))
         return jnp.roll(K.reshape(3, 6, 3, 6), (shift, shift), (0, 2)).reshape(18, 18)
 
     return jnp.stack([one(shift) for shift in range(3)])
@@ -357,7 +357,7 @@ def test_energies_of_the_three_numberings_part_with_the_third_power_of_the_strai
         def three(d, turn):
             nodal = jnp.asarray(x0), x0 + size * d, jax.vmap(rotations.exp)(size * turn)
             orders = [[jnp.roll(a, -shift, axis=0) for a in nodal] for shift in range(3)]
-            return jnp.stack([energy(x, R, Element.build(at_rest, *values)) for at_rest, x, R in orders])
+            return jnp.stack([energy(x, R, isotropic.element(at_rest, *values)) for at_rest, x, R in orders])
 
         return jax.vmap(three, out_axes=1)(displacements, turns)
 

@@ -114,8 +114,16 @@ def test_a_run_without_them_says_so():
     plain = run(METHODS["energy_momentum"], reactions=False)
     with pytest.raises(ValueError, match=r"reactions=True.*EnergyMomentum"):
         js.reactions(plain)
-    with pytest.raises(ValueError, match="restart"):
-        run(METHODS["energy_momentum"], restart=plain)
+
+
+def test_a_run_without_them_can_go_on_with_them():
+    """They are not known at the start, and from the first step on those of a run that recorded them all along."""
+    plain = run(METHODS["energy_momentum"], count=25, reactions=False)
+    rest, whole = run(METHODS["energy_momentum"], count=25, restart=plain), run(METHODS["energy_momentum"])
+    held = rest.scene.held_dofs
+    assert np.isnan(np.asarray(js.reactions(rest))[0].reshape(-1)[held]).all()
+    expected = np.asarray(js.reactions(whole))[26:]
+    np.testing.assert_allclose(js.reactions(rest)[1:], expected, atol=1e-8 * np.abs(expected).max())
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Result files: what comes back is what was written, killed runs load, and foreign files are refused."""
 
+import contextlib
 import dataclasses
 from typing import Any
 
@@ -16,7 +17,7 @@ jax.config.update("jax_enable_x64", True)
 from synthetic import synthetic_solution  # noqa: E402
 
 from jaxshell import storage  # noqa: E402
-from jaxshell.loads import EdgeForce, Gravity, History, NodalForce, NodalMoment, Pressure  # noqa: E402
+from jaxshell.loads import EdgeForce, Gravity, History, NodalForce, NodalMoment, NormalForce, Pressure  # noqa: E402
 from jaxshell.mesh import Mesh  # noqa: E402
 from jaxshell.scene import Defaults, Initial, Scene  # noqa: E402
 from jaxshell.scenes import PAPER  # noqa: E402
@@ -43,6 +44,7 @@ def everything() -> Scene:
             NodalMoment([2, 3], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
             EdgeForce([[1, 2]], [0.0, 0.0, 4.0]),
             Gravity([0.0, 0.0, -9.81]),
+            NormalForce([1, 3], [0.5, -2.0]),
             Pressure([5.0, 6.0], History.ramp(1.0)),
         ),
         initial=Initial(jnp.ones((4, 3)), 2 * jnp.ones((4, 3)), 0.1 * jnp.ones((4, 3)), jnp.asarray(turned)),
@@ -84,22 +86,23 @@ def test_failed_run_keeps_its_result(everything, tmp_path):
 
 def _append(writer, s: Solution, steps: slice, frames: slice):
     take = lambda tree, part: jax.tree.map(lambda a: np.asarray(a)[part], tree)  # noqa: E731
-    writer.append(
-        s.times[steps],
-        take(s.watched, steps),
-        take(s.energy, steps),
-        take(s.momentum, steps),
-        s.iterations[steps],
-        s.frame_times[frames],
-        s.displacements[frames],
-        s.rotations[frames],
-        s.velocities[frames],
-    )
+    histories = {
+        name: take(getattr(s, name), steps) for name in ("times", "watched", "energy", "momentum", "iterations")
+    }
+    shapes = ("frame_times", "displacements", "rotations", "velocities")
+    writer.append(dataclasses.replace(s, **histories, **{name: take(getattr(s, name), frames) for name in shapes}))
+
+
+@contextlib.contextmanager
+def _writing(path, scene, settings):
+    with contextlib.closing(storage.ResultWriter(path)) as writer:
+        writer.begin(scene, settings)
+        yield writer
 
 
 def test_chunks_add_up_to_the_run(everything, tmp_path):
     solution = synthetic_solution(everything, steps=600)
-    with storage.ResultWriter(tmp_path / "a.h5", everything, {"dt": 0.1}) as writer:
+    with _writing(tmp_path / "a.h5", everything, {"dt": 0.1}) as writer:
         for start in range(0, 601, 150):
             frames = slice(-(-start // 3), -(-(start + 150) // 3))
             _append(writer, solution, slice(start, start + 150), frames)
@@ -111,7 +114,7 @@ def test_chunks_add_up_to_the_run(everything, tmp_path):
 def test_killed_run_loads_as_far_as_it_went(everything, tmp_path):
     """A copy of the file taken while the writer still has it open is what a killed process leaves behind."""
     solution = synthetic_solution(everything)
-    with storage.ResultWriter(tmp_path / "a.h5", everything, {"dt": 0.1}) as writer:
+    with _writing(tmp_path / "a.h5", everything, {"dt": 0.1}) as writer:
         _append(writer, solution, slice(0, 8), slice(0, 3))
         (tmp_path / "copy.h5").write_bytes((tmp_path / "a.h5").read_bytes())
         _append(writer, solution, slice(8, 13), slice(3, 5))
@@ -137,7 +140,8 @@ def test_quaternions_are_exact_at_every_angle():
 
 def test_numpy_figures_can_be_settings(everything, tmp_path):
     settings = {"a": np.float64(0.1), "b": np.arange(2), "c": jnp.ones(())}
-    storage.ResultWriter(tmp_path / "a.h5", everything, settings).close()
+    with _writing(tmp_path / "a.h5", everything, settings):
+        pass
     assert storage.read_settings(tmp_path / "a.h5") == {"a": 0.1, "b": [0, 1], "c": 1.0}
 
 

@@ -3,7 +3,7 @@
 J.-L. Batoz, K.-J. Bathe & L.-W. Ho, "A study of three-node triangular plate bending elements", Int. J. Numer.
 Methods Eng. 15 (1980) 1771-1812. The bending part of K̄_m in Yang & Xia 2014, eqs. (60)-(61).
 
-The rotations β = -grad w are quadratic in the element: their corner values are nodal freedoms, and at the
+The rotations β = -grad w are quadratic in the element: their corner values are nodal degrees of freedom, and at the
 middle of an edge the component along it is that of the cubic w of the edge (Kirchhoff's constraint), the
 one across it the mean of its ends.
 """
@@ -11,29 +11,20 @@ one across it the mean of its ends.
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxshell.elements.membrane import plane_stress_matrix
-
 EDGES = ((0, 1), (1, 2), (2, 0))
 
 
-def bending_stiffness(
-    xy: Float[Array, "3 2"],
-    thickness: Float[Array, ""],
-    young_modulus: Float[Array, ""],
-    poisson_ratio: Float[Array, ""],
-) -> Float[Array, "9 9"]:
-    """Stiffness of the DKT plate triangle, freedoms (w1, θx1, θy1, w2, θx2, θy2, w3, θx3, θy3).
+def bending_stiffness(xy: Float[Array, "3 2"], D: Float[Array, "3 3"]) -> Float[Array, "9 9"]:
+    """Stiffness of the DKT plate triangle, degrees of freedom (w1, θx1, θy1, w2, θx2, θy2, w3, θx3, θy3).
 
     Rotations are right-handed about the axes: θx = ∂w/∂y, θy = -∂w/∂x.
 
-    **Arguments:**
+    Arguments:
+        xy: coordinates of the corners in the plane of the element [length], counter-clockwise.
+        D: bending stiffness of the section in the axes of xy, M = D κ [force·length].
 
-    - `xy`: coordinates of the corners in the plane of the element [m], counter-clockwise.
-    - `thickness` [m], `young_modulus` [Pa], `poisson_ratio` [-].
-
-    **Returns:** the symmetric stiffness of rank 6 [N/m, N, N m]; rotations in rad.
-
-    **Source:** Batoz, Bathe & Ho 1980.
+    Returns the symmetric stiffness of rank 6 [force/length, force, force·length]; rotations in rad.
+    Source: Batoz, Bathe & Ho 1980.
     """
     first_edge, last_edge = xy[1] - xy[0], xy[2] - xy[0]
     area = 0.5 * (first_edge[0] * last_edge[1] - first_edge[1] * last_edge[0])
@@ -53,7 +44,6 @@ def bending_stiffness(
         excess.append(-jnp.outer(e, along) / (e @ e))
 
     # The curvatures are linear, so that the rule of the three edge midpoints integrates BᵀDB exactly.
-    D = thickness**3 / 12.0 * plane_stress_matrix(young_modulus, poisson_ratio)
     linear_part = jnp.einsum("ax,abf->xbf", gradients, beta)
     stiffness = jnp.zeros((9, 9))
     for p, q in EDGES:

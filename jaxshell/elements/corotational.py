@@ -26,6 +26,7 @@ from jaxshell.elements.bending import bending_stiffness
 from jaxshell.elements.membrane import membrane_stiffness
 from jaxshell.elements.products import columns_times, cross, dot, product, transposed_product
 from jaxshell.fusion import formed
+from jaxshell.section import Resultants
 
 # Rows of the 9×9 membrane (u, v, θz per node) and bending (w, θx, θy per node) stiffness that are kept.
 _MEMBRANE_KEPT = np.array([3, 6, 7, 2, 5, 8])
@@ -45,29 +46,41 @@ class Element(eqx.Module):
     K_membrane: Float[Array, "6 6"]
     K_bending: Float[Array, "6 6"]
     area: Float[Array, ""]
-    mass_per_area: Float[Array, ""]
-    """M_ρ = ρh, eq. (30)."""
-    rotary_inertia: Float[Array, ""]
-    """ρh³/12, the two equal entries of I_ρ⁰, eq. (32)."""
+    section: Resultants
+    """What it was built from, in its own axes."""
 
     @classmethod
-    def build(cls, x0, thickness, young_modulus, poisson_ratio, density) -> "Element":
-        """From nodal positions x0 (3, 3) of the stress-free shape and the element's section (scalars)."""
+    def build(cls, x0: Float[Array, "3 3"], section: Resultants) -> "Element":
+        """From nodal positions x0 of the stress-free shape and the section's resultants.
+
+        Raises ValueError for a section that couples membrane and bending, which this element does not do.
+        """
+        if section.B is not None:
+            raise ValueError("A section with coupling B of membrane and bending needs an element that has it.")
         frame, coordinates = local_frame(x0)
         length, bx, by = coordinates
         zero = jnp.zeros_like(length)
         xy = jnp.stack([zero, zero, length, zero, bx, by]).reshape(3, 2)
-        membrane = membrane_stiffness(xy, thickness, young_modulus, poisson_ratio)
-        bending = bending_stiffness(xy, thickness, young_modulus, poisson_ratio)
+        membrane = membrane_stiffness(xy, section.A, section.beta0)
+        bending = bending_stiffness(xy, section.D)
         return cls(
             coordinates,
             frame,
             membrane[_MEMBRANE_KEPT][:, _MEMBRANE_KEPT],
             bending[_BENDING_KEPT][:, _BENDING_KEPT],
             0.5 * length * by,
-            density * thickness,
-            density * thickness**3 / 12.0,
+            section,
         )
+
+    @property
+    def mass_per_area(self) -> Float[Array, "*m"]:
+        """M_ρ = ρh, eq. (30)."""
+        return self.section.mass_per_area
+
+    @property
+    def rotary_inertia(self) -> Float[Array, "*m"]:
+        """ρh³/12, the two equal entries of I_ρ⁰, eq. (32)."""
+        return self.section.rotary_inertia
 
 
 class Kinematics(NamedTuple):

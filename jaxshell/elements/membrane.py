@@ -1,9 +1,9 @@
-"""OPT: the optimal three-node membrane triangle with drilling freedoms, for one element.
+"""OPT: the optimal three-node membrane triangle with drilling degrees of freedom, for one element.
 
-C. A. Felippa, "A study of optimal membrane triangles with drilling freedoms", Comput. Methods Appl. Mech.
+C. A. Felippa, "A study of optimal membrane triangles with drilling degrees of freedom", Comput. Methods Appl. Mech.
 Eng. 192 (2003) 2125-2168. The membrane part of K̄_m in Yang & Xia 2014, eqs. (60)-(61).
 
-K = L C Lᵀ/V + ¾ β0 T_θuᵀ K_θ T_θu. The first term is the basic stiffness, which alone passes the patch
+K = L A Lᵀ/A_e + ¾ β0 T_θuᵀ K_θ T_θu. The first term is the basic stiffness, which alone passes the patch
 test; the second is the higher-order stiffness, tuned so that in-plane bending is exact at any aspect ratio.
 Formulated in the element's own coordinates, it can be evaluated once, before the motion starts.
 """
@@ -11,49 +11,27 @@ Formulated in the element's own coordinates, it can be evaluated once, before th
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-ALPHA_B = 1.5  # lumping of the edge tractions to the drilling freedoms
-BETA_0_MINIMUM = 0.01
+ALPHA_B = 1.5  # lumping of the edge tractions to the drilling degrees of freedom
 
 
-def plane_stress_matrix(young_modulus: Float[Array, ""], poisson_ratio: Float[Array, ""]) -> Float[Array, "3 3"]:
-    """Isotropic plane-stress matrix C, (σxx, σyy, τxy) = C (εxx, εyy, γxy) [units of E]."""
-    nu = jnp.asarray(poisson_ratio)
-    zero, one = jnp.zeros_like(nu), jnp.ones_like(nu)
-    rows = jnp.stack([one, nu, zero, nu, one, zero, zero, zero, 0.5 * (1.0 - nu)]).reshape(3, 3)
-    return young_modulus / (1.0 - nu * nu) * rows
+def membrane_stiffness(xy: Float[Array, "3 2"], A: Float[Array, "3 3"], beta0: Float[Array, ""]) -> Float[Array, "9 9"]:
+    """Stiffness of the OPT membrane triangle, degrees of freedom (u1, v1, θz1, u2, v2, θz2, u3, v3, θz3).
 
+    Arguments:
+        xy: coordinates of the corners in the plane of the element [length], counter-clockwise.
+        A: membrane stiffness of the section in the axes of xy, N = A ε [force/length].
+        beta0: factor of the higher-order stiffness, see `jaxshell.section.Resultants`.
 
-def membrane_stiffness(
-    xy: Float[Array, "3 2"],
-    thickness: Float[Array, ""],
-    young_modulus: Float[Array, ""],
-    poisson_ratio: Float[Array, ""],
-    beta0: Float[Array, ""] | None = None,
-) -> Float[Array, "9 9"]:
-    """Stiffness of the OPT membrane triangle, freedoms (u1, v1, θz1, u2, v2, θz2, u3, v3, θz3).
-
-    **Arguments:**
-
-    - `xy`: coordinates of the corners in the plane of the element [m], counter-clockwise.
-    - `thickness` [m], `young_modulus` [Pa], `poisson_ratio` [-].
-    - `beta0`: factor of the higher-order stiffness [-]. `None` takes the optimal (1 - 4ν²)/2, but never less
-      than 0.01, so that the element keeps its rank of 6 when ν approaches ½ (the bound acts from ν = 0.495).
-
-    **Returns:** the symmetric stiffness of rank 6 [N/m, N, N m]; rotations in rad.
-
-    **Source:** Felippa 2003, template with αb = 3/2 and β1..9 = 1, 2, 1, 0, 1, -1, -1, -1, -2.
+    Returns the symmetric stiffness of rank 6 [force/length, force, force·length]; rotations in rad.
+    Source: Felippa 2003, template with αb = 3/2 and β1..9 = 1, 2, 1, 0, 1, -1, -1, -1, -2.
     """
     (x1, y1), (x2, y2), (x3, y3) = xy
     x12, x23, x31, y12, y23, y31 = x1 - x2, x2 - x3, x3 - x1, y1 - y2, y2 - y3, y3 - y1
     x21, x32, x13, y21, y32, y13 = -x12, -x23, -x31, -y12, -y23, -y31
     zero = jnp.zeros_like(x12)
     area = 0.5 * (x21 * y31 - x31 * y21)
-    volume = area * thickness
-    C = plane_stress_matrix(young_modulus, poisson_ratio)
-    if beta0 is None:
-        beta0 = jnp.maximum(0.5 * (1.0 - 4.0 * jnp.asarray(poisson_ratio) ** 2), BETA_0_MINIMUM)
 
-    # Basic stiffness: L gives the nodal forces of a constant stress, L C Lᵀ/V their stiffness.
+    # Basic stiffness: L gives the nodal forces of a constant membrane force, L A Lᵀ/A_e their stiffness.
     def lumping(xij, yij, xjk, yjk, xki, yki):
         """Rows of L for the corner that edge ij faces; jk follows it, ki precedes it."""
         drill = [
@@ -66,8 +44,8 @@ def membrane_stiffness(
     rows = lumping(x23, y23, x31, y31, x12, y12)
     rows += lumping(x31, y31, x12, y12, x23, y23)
     rows += lumping(x12, y12, x23, y23, x31, y31)
-    L = 0.5 * thickness * jnp.array(rows)
-    basic = L @ C @ L.T / volume
+    L = 0.5 * jnp.array(rows)
+    basic = L @ A @ L.T / area
 
     # Hierarchical corner rotations: drilling rotations less the mean rotation of the corners' displacements.
     mean_rotation = jnp.array([x23, y23, zero, x31, y31, zero, x12, y12, zero]) / (4.0 * area)
@@ -83,7 +61,7 @@ def membrane_stiffness(
         ]
     )
     T_e = T_e * edge_sq[None, :] / (4.0 * area**2)
-    C_natural = T_e.T @ C @ T_e
+    A_natural = T_e.T @ A @ T_e
 
     # Natural strains from the hierarchical rotations, at the corners (Q1, Q2, Q3; they add to zero, where the
     # third row of Felippa's Q3 is misprinted) and from there at the midpoints of the edges.
@@ -92,7 +70,7 @@ def membrane_stiffness(
     Q2 = scale * jnp.array([[-2.0, -1.0, -1.0], [1.0, 1.0, 2.0], [-1.0, 0.0, 1.0]])
     Q3 = scale * jnp.array([[1.0, -1.0, 0.0], [-1.0, -2.0, -1.0], [2.0, 1.0, 1.0]])
     Q4, Q5, Q6 = 0.5 * (Q1 + Q2), 0.5 * (Q2 + Q3), 0.5 * (Q3 + Q1)
-    K_theta = volume * (Q4.T @ C_natural @ Q4 + Q5.T @ C_natural @ Q5 + Q6.T @ C_natural @ Q6)
+    K_theta = area * (Q4.T @ A_natural @ Q4 + Q5.T @ A_natural @ Q5 + Q6.T @ A_natural @ Q6)
     higher = 0.75 * beta0 * (T_theta_u.T @ K_theta @ T_theta_u)
 
     stiffness = basic + higher

@@ -15,10 +15,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxshell.batching import one_by_one
+from jaxshell.contribution import Place
 from jaxshell.gradients import keep
+from jaxshell.iteration import Linear, Memory, Problem
 from jaxshell.methods.predictor import extrapolate
-from jaxshell.model import Model
-from jaxshell.newton import Linear, Memory, Newton, Problem, attach_derivative
+from jaxshell.model import Acting, Model
+from jaxshell.newton import Newton, attach_derivative
 from jaxshell.rotations import H_inverse, exp
 
 
@@ -51,6 +53,19 @@ class Balance(NamedTuple):
     moment: Float[Array, ""]
 
 
+class Begun(NamedTuple):
+    """Constants of a step."""
+
+    data: Any
+    """Per element, each leaf with a leading axis m."""
+    step: Any
+    """What the elements share."""
+    loads: Float[Array, "n 6"]
+    """The loads of the balance that are known: dead loads, and what contributions count at the start."""
+    end: Float[Array, ""]
+    """The time at the end."""
+
+
 class Observation(NamedTuple):
     """What is recorded at every step."""
 
@@ -60,15 +75,13 @@ class Observation(NamedTuple):
     dissipated: Float[Array, ""]
     linear: Float[Array, "3"]
     angular: Float[Array, "3"]
-    reaction: Float[Array, " nh"] | None = None
-    """Of the supports at the held freedoms, where it was asked for."""
 
 
 class StepInfo(NamedTuple):
     """How a step went."""
 
     result: Int[Array, ""]
-    """0 or the index of a failure, see `jaxshell.newton.CODES`."""
+    """0 or the index of a failure, see `jaxshell.iteration`."""
     iterations: Int[Array, ""]
     factorizations: Int[Array, ""]
     correction: Float[Array, ""]
@@ -76,7 +89,7 @@ class StepInfo(NamedTuple):
 
 
 class Solvers(NamedTuple):
-    """How the equations of a step are solved."""
+    """How the equations of a step are solved: made once on the host, and handed whole to every step."""
 
     newton: Newton
     linear: Linear
@@ -90,6 +103,8 @@ class Method(eqx.Module):
 
     uses_matrix: ClassVar[bool] = True
     """Whether a step solves equations. Explicit methods do not, and nothing is analysed or kept for them."""
+    controls_step: ClassVar[bool] = True
+    """Whether its steps may be chosen by `StepControl`."""
 
     def check(self, scene, steps) -> None:
         """Raise ValueError where the method cannot run `scene` with these step sizes; before compilation."""
@@ -117,6 +132,9 @@ class Method(eqx.Module):
 class ImplicitMethod(Method):
     """A method whose step solves a nonlinear balance with Newton's iteration."""
 
+    balances_means: ClassVar[bool] = False
+    """Contributions enter with their means over the step; else with their forces at its end."""
+
     # --- for one node or one element -----------------------------------------------------------------------
 
     def node_motion(self, u: Float[Array, "6"], x: Float[Array, "3"], R: Float[Array, "3 3"]) -> Motion:
@@ -135,11 +153,11 @@ class ImplicitMethod(Method):
     # --- for the whole shell -------------------------------------------------------------------------------
 
     @abc.abstractmethod
-    def begin(self, model: Model, state, dt) -> tuple[Any, Any, Float[Array, "n 6"]]:
-        """Constants of the step: data per element, data that they share, and the dead loads of the balance."""
+    def begin(self, model: Model, state, dt) -> Begun:
+        """Constants of the step."""
 
     @abc.abstractmethod
-    def finish(self, model: Model, state, dt, u: Float[Array, "n 6"], motion: Motion, begun) -> Any:
+    def finish(self, model: Model, state, dt, u: Float[Array, "n 6"], motion: Motion, begun: Begun) -> Any:
         """The state at the end of the step from the converged increments."""
 
     def predict(self, model: Model, state, dt) -> Float[Array, "n 6"]:
@@ -150,24 +168,40 @@ class ImplicitMethod(Method):
         """Positions and rotations to which the increments of a step are added."""
         return state.x, state.R
 
+    def positions(self, model: Model, x: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """Positions from what `configuration` and a `Motion` hold."""
+        return x
+
+    def weight_at_end(self, step) -> Any:
+        """What the forces of contributions at the end of the step count in the balance; `step` as `begin` gives it.
+
+        What they count at its start stands in the loads of `begin`.
+        """
+        return 1.0
+
     def motion(self, state, u: Float[Array, "n 6"]) -> Motion:
         """Motion of all nodes."""
         return jax.vmap(self.node_motion)(u, *self.configuration(state))
 
     def balance(self, model: Model, state, begun, u: Float[Array, "n 6"]) -> Balance:
         """The residual of the step at the increments u."""
-        data, step, loads = begun
+        data, step, loads, _ = begun
+        motion = self.motion(state, u)
         forces = jax.vmap(self.element_forces, in_axes=(0, 0, 0, None))(
-            model.gather(self.motion(state, u)), model.gather(u), data, step
+            model.gather(motion), model.gather(u), data, step
         )
         residual = model.assemble_vector(forces.elastic + forces.inertial) - loads
-        parts = [f.reshape(-1, 2, 3) for f in (forces.elastic, forces.inertial, loads)]
+        parts = [forces.elastic, forces.inertial, loads]
+        for acting, force in self.following(model, state, begun, motion):
+            residual = residual - model.sum_over_nodes(acting, force)
+            parts.append(force)
+        parts = [f.reshape(-1, 2, 3) for f in parts]
         force, moment = (jnp.max(jnp.stack([jnp.max(jnp.abs(f[:, k])) for f in parts])) for k in (0, 1))
         return Balance(residual, force, moment)
 
     def matrices(self, model: Model, state, begun, u: Float[Array, "n 6"], tangent: str) -> Float[Array, "m 18 18"]:
         """Element tangents at the increments u: `tangent` is "closed_form" or "autodiff"."""
-        data, step, _ = begun
+        data, step = begun.data, begun.step
         if tangent == "closed_form":
             motion = model.gather(self.motion(state, u))
             return jax.vmap(self.element_tangent, in_axes=(0, 0, 0, None))(motion, model.gather(u), data, step)
@@ -179,6 +213,69 @@ class ImplicitMethod(Method):
 
         corners = model.gather((u, *self.configuration(state)))
         return jax.vmap(jax.jacfwd(forces))(corners[0].reshape(-1, 18), corners[1], corners[2], data)
+
+    def following(self, model: Model, state, begun: Begun, motion: Motion) -> list[tuple[Acting, Any]]:
+        """The contributions and their forces (k, c, 6) on each group, as they stand in the balance."""
+        found = []
+        for acting in model.contributions:
+            start, end = self._places(model, acting, state, begun, motion)
+            if self.balances_means:
+                found.append((acting, acting.mean_forces(start, end)))
+            else:
+                found.append((acting, self.weight_at_end(begun.step) * acting.forces(end)))
+        return found
+
+    def work_of_loads(self, model: Model, state, begun: Begun, motion: Motion, u) -> Float[Array, ""]:
+        """Work of the loads and contributions of the balance on the increments u."""
+        work = jnp.sum(begun.loads * u)
+        for acting, force in self.following(model, state, begun, motion):
+            work = work + jnp.sum(force * u[acting.nodes])
+        return work
+
+    def following_matrices(self, model: Model, state, begun: Begun, u, tangent: str) -> list[tuple[Acting, Any]]:
+        """What `following` adds to the tangent: matrices (k, 6c, 6c) by the increments u."""
+        motion, found = self.motion(state, u), []
+        for acting in model.contributions:
+            start, end = self._places(model, acting, state, begun, motion)
+            if tangent == "autodiff":
+                K = self._differentiated(model, acting, state, begun, u)
+            elif self.balances_means:
+                K = by_increments(acting.mean_stiffness(start, end), motion.spin[acting.nodes])
+            else:
+                weight = self.weight_at_end(begun.step)
+                K = weight * by_increments(acting.stiffness(end), motion.spin[acting.nodes])
+            found.append((acting, -K))
+        return found
+
+    def _places(self, model: Model, acting: Acting, state, begun: Begun, motion: Motion):
+        x, R = self.configuration(state)
+        start = acting.places(self.positions(model, x), R, state.time)
+        return start, acting.places(self.positions(model, motion.x), motion.R, begun.end)
+
+    def _differentiated(self, model: Model, acting: Acting, state, begun: Begun, u):
+        """The matrices of a contribution by `jax.jacfwd`, the reference."""
+        x, R = self.configuration(state)
+        offset = self.positions(model, x) - x
+
+        def force(u, x, R, offset, start, data):
+            motion = jax.vmap(self.node_motion)(u.reshape(-1, 6), x, R)
+            end = Place(motion.x + offset, motion.R, begun.end)
+            if self.balances_means:
+                return acting.contribution.mean_force(data, start, end).reshape(-1)
+            return self.weight_at_end(begun.step) * acting.contribution.force(data, end).reshape(-1)
+
+        nodes = acting.nodes
+        start = acting.places(self.positions(model, x), R, state.time)
+        groups = u[nodes].reshape(nodes.shape[0], -1)
+        return jax.vmap(jax.jacfwd(force))(groups, x[nodes], R[nodes], offset[nodes], start, acting.data)
+
+    def tangent(self, model: Model, state, begun: Begun, u, last, tangent: str) -> Float[Array, " nnz"]:
+        """Values of the sparse tangent at the iterate u, reached from `last`; None for the exact one."""
+        if last is None:
+            matrices = self.matrices(model, state, begun, u, tangent)
+        else:
+            matrices = self.mixed_matrices(model, state, begun, u, last, tangent)
+        return model.assemble_matrix(matrices, self.following_matrices(model, state, begun, u, tangent))
 
     def mixed_matrices(self, model: Model, state, begun, u, last, tangent: str) -> Float[Array, "m 18 18"]:
         """Element tangents that Newton uses at the iterate u (n, 6), which it reached from the iterate `last`.
@@ -204,15 +301,23 @@ class ImplicitMethod(Method):
         """The converged increments, with the derivative of the equations that they solve."""
         if not solvers.differentiated:
             return model.expand(solved.free, held)
-        matrices = self.matrices(model, state, begun, model.expand(solved.free, held), solvers.tangent)
+        u = model.expand(solved.free, held)
+        values = self.tangent(model, state, begun, u, None, solvers.tangent)
         free = attach_derivative(
             solvers.linear.solver,
             solvers.linear.handle,
             solved.free,
             model.free(problem.balance(solved.free).residual),
-            jax.lax.stop_gradient(model.assemble_matrix(matrices)),
+            jax.lax.stop_gradient(values),
         )
         return model.expand(free, held)
+
+
+def by_increments(K: Float[Array, "k d d"], spin: Float[Array, "k c 3 3"]) -> Float[Array, "k d d"]:
+    """Matrices by displacements and spins → by displacements and the rotations that are unknowns."""
+    blocks = K.reshape(*K.shape[:2], -1, 2, 3)
+    turned = jnp.einsum("krci,kcij->krcj", blocks[:, :, :, 1], spin)
+    return jnp.stack([blocks[:, :, :, 0], turned], axis=3).reshape(K.shape)
 
 
 def _converge(memory: Memory, method: ImplicitMethod, model: Model, state, dt, solvers: Solvers):
@@ -230,13 +335,13 @@ def _scales(model: Model):
 def _problem(method: ImplicitMethod, model: Model, state, dt, solvers: Solvers):
     """(constants of the step, held increments, equations) of one step."""
     begun = method.begin(model, state, dt)
-    held = model.held_displacement(state.time + dt) - model.held_displacement(state.time)
+    held = model.held_increment(state.time, dt)
 
     def matrix(free, last):
         # At the start of the step, where `last` is zero, the held freedoms have not moved either.
         last = model.expand(last, jnp.where(jnp.any(last != 0), held, 0.0))
         u = model.expand(free, held)
-        return model.assemble_matrix(method.mixed_matrices(model, state, begun, u, last, solvers.tangent))
+        return method.tangent(model, state, begun, u, last, solvers.tangent)
 
     problem = Problem(
         lambda free: method.balance(model, state, begun, model.expand(free, held)),

@@ -24,10 +24,11 @@ from jaxshell.assembly import Tables, nodal_tables
 from jaxshell.checks import check_finite, is_concrete
 from jaxshell.compiled import compiled
 from jaxshell.elements import corotational
+from jaxshell.iteration import SUCCESSFUL, UNSTABLE
 from jaxshell.methods.base import Method, Observation, StepInfo
 from jaxshell.methods.start import initial_motion
+from jaxshell.methods.state import MovingState
 from jaxshell.model import Model, structure_of
-from jaxshell.newton import SUCCESSFUL, UNSTABLE
 from jaxshell.rotations import exp
 from jaxshell.scene import Scene
 
@@ -36,7 +37,7 @@ _EXPLOSION = 10.0
 the factor decides on a few steps more or less only."""
 
 
-class ExplicitState(eqx.Module):
+class ExplicitState(MovingState):
     """State at the end of a step."""
 
     time: Float[Array, ""]
@@ -74,6 +75,7 @@ class CentralDifference(Method):
     """
 
     uses_matrix: ClassVar[bool] = False
+    controls_step: ClassVar[bool] = False
 
     safety: float = eqx.field(static=True, default=0.9)
 
@@ -103,7 +105,9 @@ class CentralDifference(Method):
         mass, rates = lumped_mass(model), jnp.concatenate([v, omega], axis=1)
         internal, strain = _internal(model, x, R)
         energy = strain + 0.5 * jnp.sum(mass * rates**2)
-        return ExplicitState(time, x, R, rates, _load(model, x, time), internal, strain, zero, energy, energy, mass)
+        return ExplicitState(
+            time, x, R, rates, model.external_load(x, R, time), internal, strain, zero, energy, energy, mass
+        )
 
     def step(self, model: Model, state: ExplicitState, dt, solvers, memory):
         mass, end, held = state.mass, state.time + dt, model.tables.held
@@ -113,11 +117,11 @@ class CentralDifference(Method):
 
         middle = state.rates + 0.5 * dt * acceleration(state.load, state.internal)
         if model.moving:
-            moved = model.held_displacement(end) - model.held_displacement(state.time)
+            moved = model.held_increment(state.time, dt)
             middle = middle.reshape(-1).at[held].set(moved / dt).reshape(-1, 6)
         u = dt * middle
         x, R = state.x + u[:, :3], jnp.einsum("nij,njk->nik", jax.vmap(exp)(u[:, 3:]), state.R)
-        load, (internal, strain) = _load(model, x, end), _internal(model, x, R)
+        load, (internal, strain) = model.external_load(x, R, end), _internal(model, x, R)
         rates = middle + 0.5 * dt * acceleration(load, internal)
         # Work by the trapezoidal rule; that of a moving support is done on the shell and on the mass it carries.
         work = state.external_work + 0.5 * jnp.sum((state.load + load) * u)
@@ -153,11 +157,6 @@ def lumped_mass(model: Model) -> Float[Array, "n 6"]:
     third = jnp.stack([elements.mass_per_area, elements.rotary_inertia], axis=1) * elements.area[:, None] / 3.0
     corner = jnp.broadcast_to(third[:, None, :, None], (third.shape[0], 3, 2, 3))
     return model.tables.nodal(corner.reshape(-1, 6))
-
-
-def _load(model: Model, x, time) -> Float[Array, "n 6"]:
-    """All loads at `time` on the shape x."""
-    return model.dead_load(time) + model.pressure_load(x, time)
 
 
 def _internal(model: Model, x, R) -> tuple[Float[Array, "n 6"], Float[Array, ""]]:

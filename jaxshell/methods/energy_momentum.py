@@ -6,9 +6,8 @@ the step conserve linear and angular momentum and the energy to round-off, whate
 no accelerations and no history at Gauss points, so the step size may change freely.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -20,13 +19,14 @@ from jaxshell.elements.energy_momentum import StepStart, edges_of, mid_matrix, s
 from jaxshell.elements.inertia import LINEAR_MASS
 from jaxshell.elements.products import cross, dot, product, scaled
 from jaxshell.methods import predictor
-from jaxshell.methods.base import Forces, ImplicitMethod, Motion, Observation
+from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Motion, Observation
 from jaxshell.methods.start import initial_motion
-from jaxshell.model import Model, pressure_stiffness
+from jaxshell.methods.state import PredictedState
+from jaxshell.model import Model
 from jaxshell.rotations import cayley, skew
 
 
-class EnergyMomentumState(eqx.Module):
+class EnergyMomentumState(PredictedState):
     """State of the exactly conserving method."""
 
     time: Float[Array, ""]
@@ -55,11 +55,8 @@ class ElementData(NamedTuple):
     """Constants of one element during a step."""
 
     element: Element
-    x: Float[Array, "3 3"]
     start: StepStart
     inertia: DirectorMotion
-    pressure: Float[Array, ""] | None
-    """Mean of the step."""
     excess: Float[Array, "12"] | None = None
     """Deformations added at the end in the stresses, in the tangent of a mixed iteration only."""
 
@@ -86,6 +83,8 @@ class EnergyMomentum(ImplicitMethod):
     approaches ∫ M·ω dt with second order. Raises ValueError for values out of range.
     """
 
+    balances_means: ClassVar[bool] = True
+
     dissipation: float = 0.0
 
     def __init__(self, dissipation=0.0):
@@ -111,8 +110,6 @@ class EnergyMomentum(ImplicitMethod):
     def element_forces(self, motion: Motion, u: Float[Array, "3 6"], data: ElementData, step: Shared) -> Forces:
         state = _evaluate(motion, u, data, step)
         elastic = energy_momentum.elastic_forces(state)
-        if data.pressure is not None:
-            elastic = elastic - mean_pressure_force(data.x, u[:, :3], data.pressure)
         inertial = director_inertia_forces(u, data.inertia, data.element, step.dt)
         return Forces(elastic, inertial)
 
@@ -120,8 +117,6 @@ class EnergyMomentum(ImplicitMethod):
         state = _evaluate(motion, u, data, step)
         K = energy_momentum.elastic_tangent(state, data.start, data.element, step.dissipation)
         K = K + director_inertia_tangent(motion, u, data.inertia, data.element, step.dt)
-        if data.pressure is not None:
-            K = K - mean_pressure_stiffness(data.x, u[:, :3], data.pressure)
         return K
 
     # --- the shell -----------------------------------------------------------------------------------------
@@ -133,7 +128,7 @@ class EnergyMomentum(ImplicitMethod):
         Newton's iteration. A free shell then starts as a rigid body, a held one from where it is.
         """
         begun = self.begin(model, state, dt)
-        held = model.held_displacement(state.time + dt) - model.held_displacement(state.time)
+        held = model.held_increment(state.time, dt)
         is_force = model.tables.free % 6 < 3
 
         def unbalanced(u):
@@ -163,10 +158,9 @@ class EnergyMomentum(ImplicitMethod):
             before, change = jax.jvp(deformations, (last,), (u - last,))
             return before + change - deformations(u)
 
-        data, step, loads = begun
         u_corners, last, x, R = model.gather((u, last, state.x, state.R))
-        data = data._replace(excess=jax.vmap(excess)(u_corners, last, x, R, model.elements))
-        return self.matrices(model, state, (data, step, loads), u, tangent)
+        data = begun.data._replace(excess=jax.vmap(excess)(u_corners, last, x, R, model.elements))
+        return self.matrices(model, state, begun._replace(data=data), u, tangent)
 
     def start(self, model: Model, scene, time) -> EnergyMomentumState:
         x, R, v, omega = initial_motion(model, scene)
@@ -178,21 +172,17 @@ class EnergyMomentum(ImplicitMethod):
         def middle(history):
             return 0.5 * (history(state.time) + history(state.time + dt))
 
-        pressure = middle(model.pressure) if model.pressures else None
         x, R, v, W = model.gather((state.x, state.R, state.v, state.W))
         normals = model.elements.frame[:, None, None, 2]
         motion = DirectorMotion(v, dot(R, normals), dot(W, normals))
         kin = jax.vmap(corotational.kinematics)(x, R, model.elements)
-        data = ElementData(model.elements, x, StepStart(jax.vmap(edges_of)(x), kin), motion, pressure)
-        return data, Shared(dt, self.dissipation), middle(model.dead_load)
+        data = ElementData(model.elements, StepStart(jax.vmap(edges_of)(x), kin), motion)
+        return Begun(data, Shared(dt, self.dissipation), middle(model.dead_load), state.time + dt)
 
     def finish(self, model: Model, state: EnergyMomentumState, dt, u, motion, begun) -> EnergyMomentumState:
-        data, step, loads = begun
-        work, dissipated = jnp.sum(loads * u), state.dissipated
-        if data.pressure is not None:
-            moved = model.gather(u[:, :3])
-            forces = jax.vmap(mean_pressure_force)(data.x, moved, data.pressure).reshape(-1, 3, 2, 3)
-            work = work + jnp.sum(forces[:, :, 0] * moved)
+        data, step = begun.data, begun.step
+        work = self.work_of_loads(model, state, begun, motion, u)
+        dissipated = state.dissipated
         if model.moving:
             # Supports that move work with the reaction, the residual at the held freedoms.
             reaction = self.balance(model, state, begun, u).residual.reshape(-1)[model.tables.held]
@@ -206,7 +196,7 @@ class EnergyMomentum(ImplicitMethod):
         # R₁ - R₀ = ~θ R_m, without the digits that a subtraction loses.
         turned = jax.vmap(skew)(u[:, 3:]) @ (state.R + motion.R)
         return EnergyMomentumState(
-            state.time + dt,
+            begun.end,
             motion.x,
             motion.R,
             2.0 * u[:, :3] / dt - state.v,
@@ -236,7 +226,7 @@ def _evaluate(motion: Motion, u, data: ElementData, step: Shared) -> energy_mome
     return energy_momentum.evaluate(data.start, motion.x, motion.R, u, data.element, step.dissipation, data.excess)
 
 
-# --- one element: inertia and pressure --------------------------------------------------------------------
+# --- one element: inertia --------------------------------------------------------------------
 
 
 def _masses(element: Element) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
@@ -276,18 +266,3 @@ def director_inertia_tangent(motion: Motion, u, start: DirectorMotion, element: 
     zero = jnp.zeros_like(forces)
     rows = [jnp.stack([forces, zero], axis=3), jnp.stack([zero, moments], axis=3)]
     return jnp.stack(rows, axis=1).reshape(18, 18)
-
-
-def mean_pressure_force(x, moved, pressure) -> Float[Array, "18"]:
-    """Follower pressure averaged over the straight path from x to x + moved: a constant one does exact work.
-
-    The normal is quadratic along the path, so that Simpson's rule, a_m × b_m + Δa × Δb/12, is exact.
-    """
-    middle, change = edges_of(x + 0.5 * moved), edges_of(moved)
-    normal = cross(middle[0], middle[1]) + cross(change[0], change[1]) / 12.0
-    return jnp.tile(jnp.concatenate([pressure / 6.0 * normal, jnp.zeros(3)]), 3)
-
-
-def mean_pressure_stiffness(x, moved, pressure) -> Float[Array, "18 18"]:
-    """Derivative of `mean_pressure_force` by `moved`: that of the pressure at x + ⅔ moved, halved."""
-    return pressure_stiffness(x + 2.0 / 3.0 * moved, 0.5 * pressure)

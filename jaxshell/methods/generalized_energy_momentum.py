@@ -18,12 +18,13 @@ from jaxshell.elements import corotational, inertia
 from jaxshell.elements.corotational import Element, Kinematics
 from jaxshell.elements.inertia import Spins, StepFactors
 from jaxshell.methods import predictor, seven_point, traditional
-from jaxshell.methods.base import Forces, ImplicitMethod, Observation
+from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
-from jaxshell.model import Model, pressure_force, pressure_stiffness
+from jaxshell.methods.state import PredictedState
+from jaxshell.model import Model
 
 
-class GEMState(eqx.Module):
+class GEMState(PredictedState):
     """State of the generalised energy-momentum method."""
 
     time: Float[Array, ""]
@@ -50,7 +51,6 @@ class ElementData(NamedTuple):
     R: Float[Array, "3 3 3"]
     spins: Any
     """`PointStart` at the Gauss points (7, ...), `Spins` at the nodes (3, ...), or None."""
-    pressure: Float[Array, ""] | None
 
 
 class Shared(NamedTuple):
@@ -108,9 +108,6 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             corotational.to_global(corotational.local_forces(data.start, f), data.start),
             factors.alpha_f,
         )
-        if data.pressure is not None:
-            elastic = elastic - (1.0 - factors.alpha_f) * pressure_force(motion.x, data.pressure)
-
         points = data.spins if self.inertia == "seven_point" else None
         inertial = seven_point.inertial_forces(u[:, :3], motion.theta, data.v, data.a, points, element, factors)
         if self.inertia == "traditional":
@@ -131,8 +128,6 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             geometric=1.0 - factors.alpha_f,
             average=lambda Lambda: factors.mid(Lambda, data.Lambda, factors.alpha_f),
         )
-        if data.pressure is not None:
-            K = K - (1.0 - factors.alpha_f) * pressure_stiffness(motion.x, data.pressure)
         points = data.spins if self.inertia == "seven_point" else None
         K = K + seven_point.inertial_tangent(motion.theta, points, element, factors)  # eq. (95)
         if self.inertia == "traditional":
@@ -141,6 +136,9 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         return K
 
     # --- the shell -----------------------------------------------------------------------------------------
+
+    def weight_at_end(self, step: Shared):
+        return 1.0 - step.factors.alpha_f
 
     def start(self, model: Model, scene, time) -> GEMState:
         x, R, v, omega = initial_motion(model, scene)
@@ -163,10 +161,8 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         factors = self.factors(dt)
         end, start = state.time + dt, state.time
         loads = factors.mid(model.dead_load(end), model.dead_load(start), factors.alpha_f)
-        pressure = None
-        if model.pressures:
-            loads = loads + factors.alpha_f * model.pressure_load(state.x, start)
-            pressure = model.pressure(end)
+        if model.contributions:
+            loads = loads + factors.alpha_f * model.following_load(state.x, state.R, start)
         x, R, v, a = model.gather((state.x, state.R, state.v, state.a))
         spins = None
         if self.inertia == "seven_point":
@@ -175,27 +171,23 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             spins = model.gather(state.spins)
         kin = jax.vmap(corotational.kinematics)(x, R, model.elements)
         Lambda = jax.vmap(lambda kin: corotational.gradient_to_global(corotational.deformation_gradient(kin), kin))(kin)
-        data = ElementData(model.elements, kin, Lambda, v, a, R, spins, pressure)
-        return data, Shared(factors, jnp.asarray(self.dissipation)), loads
+        data = ElementData(model.elements, kin, Lambda, v, a, R, spins)
+        return Begun(data, Shared(factors, jnp.asarray(self.dissipation)), loads, end)
 
     def finish(self, model: Model, state: GEMState, dt, u, motion, begun) -> GEMState:
-        _, step, loads = begun
-        factors = step.factors
+        factors = begun.step.factors
         spins = state.spins
         if self.inertia == "seven_point":
             spins = seven_point.turned_spins(model, motion.theta, spins, factors)
         elif self.inertia == "traditional":
             spins = jax.vmap(inertia.end_of_step, in_axes=(0, 0, None))(motion.theta, spins, factors)
-        work = jnp.sum(loads * u)
-        if model.pressures:
-            end = state.time + dt
-            work = work + (1.0 - factors.alpha_f) * jnp.sum(model.pressure_load(motion.x, end) * u)
+        work = self.work_of_loads(model, state, begun, motion, u)
         if model.moving:
             # Supports that move work with the reaction, the residual at the held freedoms.
             reaction = self.balance(model, state, begun, u).residual.reshape(-1)[model.tables.held]
             work = work + jnp.sum(reaction * u.reshape(-1)[model.tables.held])
         return GEMState(
-            state.time + dt,
+            begun.end,
             motion.x,
             motion.R,
             factors.first(u[:, :3], state.v, state.a),

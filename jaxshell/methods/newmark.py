@@ -19,7 +19,6 @@ Finite rotations: R_{n+1} = exp(~θ) R_n, with θ the unknown of the step and Θ
 import abc
 from typing import ClassVar, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -28,12 +27,13 @@ from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
 from jaxshell.elements.inertia import PointStart, Spins, StepFactors
 from jaxshell.methods import predictor, seven_point
-from jaxshell.methods.base import Forces, ImplicitMethod, Observation
+from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
-from jaxshell.model import Model, pressure_force, pressure_stiffness
+from jaxshell.methods.state import PredictedState
+from jaxshell.model import Model
 
 
-class NewmarkState(eqx.Module):
+class NewmarkState(PredictedState):
     """State at the end of a step."""
 
     time: Float[Array, ""]
@@ -57,7 +57,6 @@ class ElementData(NamedTuple):
     v: Float[Array, "3 3"]
     a: Float[Array, "3 3"]
     points: PointStart
-    pressure: Float[Array, ""] | None
 
 
 class ForceLevelMethod(ImplicitMethod):
@@ -74,8 +73,6 @@ class ForceLevelMethod(ImplicitMethod):
 
     def element_forces(self, motion, u, data: ElementData, step: StepFactors) -> Forces:
         elastic = corotational.internal_force(motion.x, motion.R, data.element)
-        if data.pressure is not None:
-            elastic = elastic - pressure_force(motion.x, data.pressure)
         inertial = seven_point.inertial_forces(u[:, :3], motion.theta, data.v, data.a, data.points, data.element, step)
         return Forces((1.0 - step.alpha_f) * elastic, inertial)
 
@@ -84,17 +81,18 @@ class ForceLevelMethod(ImplicitMethod):
         f = corotational.stresses(kin.deformations, data.element)
         weight = 1.0 - step.alpha_f
         K = corotational.stiffness(kin, f, data.element, motion.spin, material=weight, geometric=weight)
-        if data.pressure is not None:
-            K = K - weight * pressure_stiffness(motion.x, data.pressure)
         return K + seven_point.inertial_tangent(motion.theta, data.points, data.element, step)
 
     # --- the shell -----------------------------------------------------------------------------------------
+
+    def weight_at_end(self, step: StepFactors):
+        return 1.0 - step.alpha_f
 
     def start(self, model: Model, scene, time) -> NewmarkState:
         x, R, v, omega = initial_motion(model, scene)
         reaction = jnp.zeros(0)
         if model.moving:
-            force = model.internal_force(x, R) - _external(model, x, jnp.asarray(time))
+            force = model.internal_force(x, R) - model.external_load(x, R, jnp.asarray(time))
             reaction = force.reshape(-1)[model.tables.held]
         return NewmarkState(
             jnp.asarray(time, float),
@@ -113,17 +111,17 @@ class ForceLevelMethod(ImplicitMethod):
         end = state.time + dt
         loads = (1.0 - factors.alpha_f) * model.dead_load(end)
         if not self.balance_at_end:
-            earlier = _external(model, state.x, state.time) - model.internal_force(state.x, state.R)
+            earlier = model.external_load(state.x, state.R, state.time) - model.internal_force(state.x, state.R)
             loads = loads + factors.alpha_f * earlier
-        pressure = model.pressure(end) if model.pressures else None
         v, a = model.gather((state.v, state.a))
         points = seven_point.points_at_start(model, state.spins)
-        return ElementData(model.elements, v, a, points, pressure), factors, loads
+        return Begun(ElementData(model.elements, v, a, points), factors, loads, end)
 
     def finish(self, model: Model, state: NewmarkState, dt, u, motion, begun) -> NewmarkState:
-        factors = begun[1]
+        factors = begun.step
         # Work by the trapezoidal rule, which at β = 1/4, γ = 1/2 is the work that a linear shell receives.
-        ends = _external(model, state.x, state.time) + _external(model, motion.x, state.time + dt)
+        ends = model.external_load(state.x, state.R, state.time)
+        ends = ends + model.external_load(motion.x, motion.R, begun.end)
         work, reaction = 0.5 * jnp.sum(ends * u), state.reaction
         if model.moving:
             # The balance gives the reaction at t_{n+1-αf}; brought to the middle of the step, linearly.
@@ -131,7 +129,7 @@ class ForceLevelMethod(ImplicitMethod):
             middle = (0.5 + factors.alpha_f) * reaction + (0.5 - factors.alpha_f) * state.reaction
             work = work + jnp.sum(middle * u.reshape(-1)[model.tables.held])
         return NewmarkState(
-            state.time + dt,
+            begun.end,
             motion.x,
             motion.R,
             factors.first(u[:, :3], state.v, state.a),
@@ -152,11 +150,6 @@ class ForceLevelMethod(ImplicitMethod):
 def step_factors(beta, gamma, alpha_m, alpha_f, dt) -> StepFactors:
     """The scheme's numbers as arrays."""
     return StepFactors(*(jnp.asarray(number, float) for number in (beta, gamma, alpha_m, alpha_f, dt)))
-
-
-def _external(model: Model, x, time) -> Float[Array, "n 6"]:
-    """All loads at `time` on the shape x."""
-    return model.dead_load(time) + model.pressure_load(x, time)
 
 
 class Newmark(ForceLevelMethod):

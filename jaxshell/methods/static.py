@@ -18,19 +18,19 @@ forces: a thin shell of many elements under a small load is then out of balance 
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
-from jaxshell.methods.base import Forces, ImplicitMethod, Observation
+from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion
-from jaxshell.model import Model, pressure_force, pressure_stiffness
+from jaxshell.methods.state import State
+from jaxshell.model import Model
 
 
-class StaticState(eqx.Module):
+class StaticState(State):
     """A state of equilibrium."""
 
     time: Float[Array, ""]
@@ -42,6 +42,9 @@ class StaticState(eqx.Module):
     """Zero: nothing moves."""
     external_work: Float[Array, ""]
 
+    def displacements(self, x0):
+        return self.d
+
 
 class ElementData(NamedTuple):
     """Constants of one element during a step."""
@@ -49,7 +52,6 @@ class ElementData(NamedTuple):
     element: Element
     edges: Float[Array, "3 3"]
     """Corners of the reference shape, seen from node 1."""
-    pressure: Float[Array, ""] | None
     excess: Float[Array, "12"] | None = None
     """Stresses added to those of the deformations, in the tangent of a mixed iteration only."""
 
@@ -61,16 +63,13 @@ class Static(ImplicitMethod):
         x = _corners(motion.x, data.edges)
         kin = corotational.kinematics(x, motion.R, data.element)
         force = corotational.to_global(corotational.local_forces(kin, _stresses(kin, data)), kin)
-        if data.pressure is not None:
-            force = force - pressure_force(x, data.pressure)
         return Forces(force, jnp.zeros_like(force))
 
     def element_tangent(self, motion, u, data: ElementData, step) -> Float[Array, "18 18"]:
         x = _corners(motion.x, data.edges)
         kin = corotational.kinematics(x, motion.R, data.element)
         f = _stresses(kin, data)
-        K = corotational.stiffness(kin, f, data.element, motion.spin)
-        return K if data.pressure is None else K - pressure_stiffness(x, data.pressure)
+        return corotational.stiffness(kin, f, data.element, motion.spin)
 
     def mixed_matrices(self, model: Model, state, begun, u, last, tangent: str) -> Float[Array, "m 18 18"]:
         def excess(u, last, d, R, data: ElementData):
@@ -83,10 +82,10 @@ class Static(ImplicitMethod):
             before, change = jax.jvp(deformations, (last,), (u - last,))
             return corotational.stresses(before + change - deformations(u), data.element)
 
-        data, step, loads = begun
+        data = begun.data
         u_e, last_e, d, R = model.gather((u, last, state.d, state.R))
         data = data._replace(excess=jax.vmap(excess)(u_e, last_e, d, R, data))
-        return self.matrices(model, state, (data, step, loads), u, tangent)
+        return self.matrices(model, state, begun._replace(data=data), u, tangent)
 
     def start(self, model: Model, scene, time) -> StaticState:
         x, R, v, _ = initial_motion(model, scene)
@@ -95,26 +94,27 @@ class Static(ImplicitMethod):
     def configuration(self, state: StaticState):
         return state.d, state.R
 
+    def positions(self, model: Model, x):
+        return model.x0 + x
+
     def predict(self, model: Model, state: StaticState, dt) -> Float[Array, "n 6"]:
         """Newton starts where the last step ended, since what one extrapolates stretches the membrane."""
         return jnp.zeros((state.d.shape[0], 6))
 
     def begin(self, model: Model, state: StaticState, dt):
         end = state.time + dt
-        pressure = model.pressure(end) if model.pressures else None
         corners = model.gather(model.x0)
-        return ElementData(model.elements, corners - corners[:, :1], pressure), None, model.dead_load(end)
+        return Begun(ElementData(model.elements, corners - corners[:, :1]), None, model.dead_load(end), end)
 
     def finish(self, model: Model, state: StaticState, dt, u, motion, begun) -> StaticState:
         end = state.time + dt
         # Work by the trapezoidal rule along the step.
-        force = 0.5 * (model.dead_load(state.time) + model.dead_load(end))
-        if model.pressures:
-            before, after = model.x0 + state.d, model.x0 + motion.x
-            force = force + 0.5 * (model.pressure_load(before, state.time) + model.pressure_load(after, end))
+        before, after = model.x0 + state.d, model.x0 + motion.x
+        ends = model.external_load(before, state.R, state.time), model.external_load(after, motion.R, end)
+        force = 0.5 * (ends[0] + ends[1])
         if model.moving:
-            before = reactions_at(model, state.d, state.R, state.time)
-            force = force + 0.5 * (before + reactions_at(model, motion.x, motion.R, end))
+            carried = reactions_at(model, state.d, state.R, state.time)
+            force = force + 0.5 * (carried + reactions_at(model, motion.x, motion.R, end))
         work = state.external_work + jnp.sum(force * u)
         return StaticState(end, motion.x, motion.R, state.v, work)
 
