@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from jaxshell.newton import Newton
     from jaxshell.output import Output
     from jaxshell.scene import Initial, Scene
-    from jaxshell.section import Section
+    from jaxshell.sections import Section
     from jaxshell.simulation import simulate
     from jaxshell.solution import RESULTS, Energy, Momentum, Solution
     from jaxshell.statics import reactions, solve_static
@@ -99,7 +99,7 @@ _HOMES = {
     "output": ["Output"],
     "scene": ["Initial", "Scene"],
     "scenes": ["scenes"],
-    "section": ["Section"],
+    "sections": ["Section"],
     "simulation": ["simulate"],
     "solution": ["RESULTS", "Energy", "Momentum", "Solution"],
     "statics": ["reactions", "solve_static"],

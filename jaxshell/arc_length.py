@@ -35,6 +35,7 @@ from jaxshell.scene import Scene
 from jaxshell.solution import RESULTS, Solution
 from jaxshell.statics import DEFAULT_NEWTON, StaticLog, proportional
 
+_STATIC = Static()
 _CUTS = 10
 _WANTED_ITERATIONS = 6
 """Steps grow where the iteration takes fewer and shrink where it takes more."""
@@ -80,7 +81,7 @@ def solve_arc_length(
     """
     require_float64()
     newton = DEFAULT_NEWTON if newton is None else newton
-    check_options(scene, Static(), save_every, tangent, newton)
+    check_options(scene, _STATIC, save_every, tangent, newton)
     if arc_length is not None:
         check_positive("arc_length", arc_length)
     check_positive("max_load_factor", max_load_factor)
@@ -91,7 +92,7 @@ def solve_arc_length(
     if is_traced(scene, newton, arc_length):
         raise ValueError("solve_arc_length chooses its steps as it goes and cannot be traced: use solve_static.")
     check_supported(scene)
-    setup = set_up(scene, Static(), newton, linear_solver=linear_solver, tangent=tangent, save_every=save_every)
+    setup = set_up(scene, _STATIC, newton, linear_solver=linear_solver, tangent=tangent, save_every=save_every)
     with Progress(steps=steps, enabled=progress) as bar:
         solution = _driven(setup, arc_length, steps, max_load_factor, output, bar)
     if throw and solution.message:
@@ -115,16 +116,16 @@ class _Step(NamedTuple):
         return self.model.expand(free, held)[:, :3]
 
     def balance(self, free, increment):
-        begun = self.plan.method.begin(self.model, self.state, increment)
-        return self.plan.method.balance(self.model, self.state, begun, self.increments(free, increment))
+        begun = _STATIC.begin(self.model, self.state, increment)
+        return _STATIC.balance(self.model, self.state, begun, self.increments(free, increment))
 
     def two_solutions(self, free, last, increment, residual):
         """δu_r and δu_q at the iterate `free`, reached from `last`; each as free degrees of freedom."""
-        model, method, linear = self.model, self.plan.method, self.plan.solvers.linear
-        begun = method.begin(model, self.state, increment)
+        model, linear = self.model, self.plan.solvers.linear
+        begun = _STATIC.begin(model, self.state, increment)
         held = increment * self.held_rate
         u, before = model.expand(free, held), model.expand(last, jnp.where(jnp.any(last != 0), held, 0.0))
-        matrix = method.tangent(model, self.state, begun, u, before, self.plan.solvers.tangent)
+        matrix = _STATIC.tangent(model, self.state, begun, u, before, self.plan.solvers.tangent)
         _, rate = jax.jvp(lambda t: model.free(self.balance(free, t).residual), (increment,), (jnp.ones(()),))
         by_load, factorization = linear.solver.factor_and_solve(linear.handle, matrix, -rate)
         by_residual = linear.solver.solve(linear.handle, factorization, matrix, -residual)
@@ -195,8 +196,8 @@ def _advance(model: Model, plan: Plan, state: StaticState, previous, length):
         start,
     )
     result = jnp.where(end.done, end.result, STAGNATED)
-    begun, u = plan.method.begin(model, state, end.increment), step.increments(end.free, end.increment)
-    state = plan.method.finish(model, state, end.increment, u, plan.method.motion(state, u), begun)
+    begun, u = _STATIC.begin(model, state, end.increment), step.increments(end.free, end.increment)
+    state = _STATIC.finish(model, state, end.increment, u, _STATIC.motion(state, u), begun)
     record = program.record(model, plan, state, None, end.iterations, end.iterations, jnp.array(True))
     return state, u[:, :3], result, record, program.frame(model, state)
 

@@ -13,7 +13,7 @@ from jaxshell import program
 from jaxshell.assembly import Tables, analyse, nodal_tables
 from jaxshell.checks import is_concrete
 from jaxshell.gradients import Gradients
-from jaxshell.iteration import SUCCESSFUL, Linear
+from jaxshell.iteration import Linear
 from jaxshell.linear_solver import Handle, LinearSolver, default_solver
 from jaxshell.methods.base import Method, Solvers
 from jaxshell.model import structure_of
@@ -230,7 +230,7 @@ def run_traced(
         jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), *parts)
         for parts in ((record, records), (frame, shots))
     )
-    result = result_of(SUCCESSFUL)
+    result = RESULTS.successful
     for code in range(len(RESULT_NAMES)):
         result = RESULTS.where(carry.result == code, result_of(code), result)
     solution = solution_of(setup.scene, record, frame, carry.state, result, analysis=analysis)

@@ -14,7 +14,7 @@ from jaxshell.contribution import Contribution
 from jaxshell.frozen import Frozen
 from jaxshell.loads import Load
 from jaxshell.mesh import Mesh
-from jaxshell.section import AnySection
+from jaxshell.sections import AnySection
 from jaxshell.supports import Support
 
 WATCHABLE = ("ux", "uy", "uz", "vx", "vy", "vz")

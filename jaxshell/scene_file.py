@@ -2,7 +2,7 @@
 
     name, units ("SI" puts units on the pictures' axes)
     [mesh]         generator and its arguments (see `jaxshell.generators`), or file (whatever meshio reads)
-    [section]      thickness, young_modulus, poisson_ratio, density
+    [section]      thickness, young_modulus, poisson_ratio, density; kind = "isotropic" where it is not left out
     [[supports]]   nodes; hold = "clamped", "pinned", "symmetry x" or list; displacement, history
     [[loads]]      kind = "force", "moment", "edge force", "gravity", "pressure" or "normal force"; nodes; its
                    force, moment, acceleration, pressure or magnitude; history
@@ -16,6 +16,7 @@ Nodes are chosen by `nodes = [...]`, `nearest = [x, y, z]`, `plane = { x = 0.0 }
 `{ ramp = t }`; without one the load acts, whole, from the start.
 """
 
+import dataclasses
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from jaxshell.history import History
 from jaxshell.loads import LOADS, Load
 from jaxshell.mesh import Mesh
 from jaxshell.scene import Defaults, Initial, Scene
-from jaxshell.section import Section
+from jaxshell.sections import SECTIONS, AnySection, Section
 from jaxshell.supports import ALL, Support, symmetry
 
 RUN_KEYS = (
@@ -36,6 +37,7 @@ RUN_KEYS = (
 )  # fmt: skip
 _SELECTORS = ("nodes", "nearest", "plane", "box", "boundary")
 _LOADS = {load.kind: load for load in LOADS}
+_SECTIONS = {section.kind: section for section in SECTIONS}
 _SYMMETRY = {f"symmetry {normal}": symmetry([0], normal).dofs for normal in "xyz"}
 _HOLD = {"clamped": ALL, "pinned": ("ux", "uy", "uz"), **_SYMMETRY}
 
@@ -64,14 +66,11 @@ def _scene(content: dict, path: Path) -> tuple[Scene, dict]:
     known = ("name", "units", "mesh", "section", "supports", "loads", "watch", "initial", "run")
     top.only(*known)
     mesh = _mesh(top.table("mesh"), path.parent)
-    section = top.table("section")
-    names = ("thickness", "young_modulus", "poisson_ratio", "density")
-    section.only(*names)
     run = top.table("run", optional=True)
     run.only(*RUN_KEYS)
     scene = Scene(
         mesh,
-        section.call(Section, **{name: section.get(name) for name in names}),
+        _section(top.table("section")),
         [_support(table, mesh) for table in top.tables("supports")],
         [_load(table, mesh) for table in top.tables("loads")],
         initial=_initial(top.table("initial", optional=True), mesh),
@@ -99,6 +98,20 @@ def _mesh(table: "_Table", folder: Path) -> Mesh:
     for needed in arguments[: len(arguments) - len(generator.__defaults__ or ())]:
         table.get(needed)
     return table.call(generator, **{key: value for key, value in table.content.items() if key != "generator"})
+
+
+def _section(table: "_Table") -> AnySection:
+    name = table.content.get("kind", Section.kind)
+    if name not in _SECTIONS:
+        choices = ", ".join(repr(choice) for choice in _SECTIONS)
+        raise ValueError(f"{table.name} kind must be one of {choices}, but it is {name!r}.")
+    section = _SECTIONS[name]
+    fields = [field for field in dataclasses.fields(section) if field.init]
+    table.only("kind", *(field.name for field in fields))
+    for field in fields:
+        if field.default is dataclasses.MISSING:
+            table.get(field.name)
+    return table.call(section, **{key: value for key, value in table.content.items() if key != "kind"})
 
 
 def _support(table: "_Table", mesh: Mesh) -> Support:

@@ -34,7 +34,7 @@ from jaxshell.mesh import Mesh
 from jaxshell.output import Output
 from jaxshell.restart import named
 from jaxshell.scene import Defaults, Initial, Scene
-from jaxshell.section import SECTIONS
+from jaxshell.sections import SECTIONS
 from jaxshell.solution import RESULTS, Energy, Momentum, Solution, Stats
 from jaxshell.supports import Support
 from jaxshell.version import version

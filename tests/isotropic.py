@@ -2,7 +2,7 @@
 
 from jaxshell.elements import bending, membrane
 from jaxshell.elements.corotational import Element
-from jaxshell.section import isotropic
+from jaxshell.sections.isotropic import isotropic
 
 
 def element(x0, thickness, young_modulus, poisson_ratio, density) -> Element:

@@ -20,7 +20,7 @@ from jaxshell.report import loads_end  # noqa: E402
 from jaxshell.run_settings import _about_as_many_elements  # noqa: E402
 from jaxshell.scene import Scene  # noqa: E402
 from jaxshell.scenes import BY_NAME, PAPER  # noqa: E402
-from jaxshell.section import Section  # noqa: E402
+from jaxshell.sections import Section  # noqa: E402
 from jaxshell.solution import RESULTS, Solution  # noqa: E402
 from jaxshell.statics import solve_static  # noqa: E402
 from jaxshell.supports import clamped  # noqa: E402

@@ -11,7 +11,7 @@ from linear import displacements
 from jaxshell import generators
 from jaxshell.mesh import Mesh, structured_triangles
 from jaxshell.scenes import spherical_cap
-from jaxshell.section import Section
+from jaxshell.sections import Section
 
 
 def rates(errors):

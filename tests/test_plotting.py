@@ -21,7 +21,7 @@ from jaxshell.plotting.style import line, scaled  # noqa: E402
 from jaxshell.report import energy_balance, momentum_scales  # noqa: E402
 from jaxshell.scene import Scene  # noqa: E402
 from jaxshell.scenes import PAPER  # noqa: E402
-from jaxshell.section import Section  # noqa: E402
+from jaxshell.sections import Section  # noqa: E402
 from jaxshell.supports import Support, clamped, pinned, symmetry  # noqa: E402
 
 

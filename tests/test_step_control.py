@@ -124,3 +124,9 @@ def test_frozen_steps_repeat_the_run():
 def test_bad_numbers_are_named(arguments, match):
     with pytest.raises(ValueError, match=match):
         StepControl(**arguments)
+
+
+def test_central_differences_say_before_compilation_why_not():
+    """Their step is limited by stability, and their state holds no rates of the last steps."""
+    with pytest.raises(ValueError, match=r"CentralDifference takes equal steps.*critical_step"):
+        js.simulate(cap(), js.CentralDifference(), dt=StepControl(1e-4, 1e-9), t_end=1e-6)

@@ -21,7 +21,7 @@ from jaxshell.loads import EdgeForce, Gravity, History, NodalForce, NodalMoment,
 from jaxshell.mesh import Mesh  # noqa: E402
 from jaxshell.scene import Defaults, Initial, Scene  # noqa: E402
 from jaxshell.scenes import PAPER  # noqa: E402
-from jaxshell.section import Section  # noqa: E402
+from jaxshell.sections import Section  # noqa: E402
 from jaxshell.solution import RESULTS, Solution  # noqa: E402
 from jaxshell.supports import Support, clamped  # noqa: E402
 

@@ -26,7 +26,7 @@ from jaxshell.elements.bending import bending_stiffness
 from jaxshell.elements.membrane import membrane_stiffness
 from jaxshell.elements.products import columns_times, cross, dot, product, transposed_product
 from jaxshell.fusion import formed
-from jaxshell.section import Resultants
+from jaxshell.sections import Resultants
 
 # Rows of the 9×9 membrane (u, v, θz per node) and bending (w, θx, θy per node) stiffness that are kept.
 _MEMBRANE_KEPT = np.array([3, 6, 7, 2, 5, 8])

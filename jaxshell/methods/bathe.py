@@ -82,13 +82,13 @@ def history(model: Model, start: NewmarkState, half: NewmarkState, dt) -> Newmar
     a = (3.0 * v - 4.0 * half.v + start.v) / dt
     Omega_dot = (3.0 * Omega - 4.0 * half.spins.Omega + start.spins.Omega) / dt
     return NewmarkState(
-        half.time,
-        half.x,
-        half.R,
-        v,
-        a,
-        Spins(half.spins.R, Omega, Omega_dot),
-        half.external_work,
-        half.reaction,
-        half.rates,
+        time=half.time,
+        x=half.x,
+        R=half.R,
+        v=v,
+        a=a,
+        spins=Spins(half.spins.R, Omega, Omega_dot),
+        external_work=half.external_work,
+        reaction=half.reaction,
+        rates=half.rates,
     )

@@ -56,7 +56,7 @@ class ExplicitState(MovingState):
     """Lumped masses and rotary inertias; constant."""
 
     @property
-    def v(self) -> Float[Array, "n 3"]:
+    def v(self) -> Float[Array, "n 3"]:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.rates[:, :3]
 
     @property
@@ -105,8 +105,18 @@ class CentralDifference(Method):
         mass, rates = lumped_mass(model), jnp.concatenate([v, omega], axis=1)
         internal, strain = _internal(model, x, R)
         energy = strain + 0.5 * jnp.sum(mass * rates**2)
-        return ExplicitState(
-            time, x, R, rates, model.external_load(x, R, time), internal, strain, zero, energy, energy, mass
+        return ExplicitState(  # pyright: ignore[reportCallIssue]  # v is a property
+            time=time,
+            x=x,
+            R=R,
+            rates=rates,
+            load=model.external_load(x, R, time),
+            internal=internal,
+            strain=strain,
+            external_work=zero,
+            initial_energy=energy,
+            supplied=energy,
+            mass=mass,
         )
 
     def step(self, model: Model, state: ExplicitState, dt, solvers, memory):
@@ -132,7 +142,19 @@ class CentralDifference(Method):
         # The velocity at the end already holds the second half of this step's kick, whose work follows.
         coming = 0.5 * dt * jnp.sum(load * rates)
         supplied = jnp.maximum(state.supplied, state.initial_energy + work + coming)
-        new = ExplicitState(end, x, R, rates, load, internal, strain, work, state.initial_energy, supplied, mass)
+        new = ExplicitState(  # pyright: ignore[reportCallIssue]
+            time=end,
+            x=x,
+            R=R,
+            rates=rates,
+            load=load,
+            internal=internal,
+            strain=strain,
+            external_work=work,
+            initial_energy=state.initial_energy,
+            supplied=supplied,
+            mass=mass,
+        )
         # Written so that NaN fails too.
         stable = new.kinetic + strain <= _EXPLOSION * supplied
         zero = jnp.zeros((), jnp.int32)

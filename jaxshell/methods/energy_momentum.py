@@ -166,7 +166,16 @@ class EnergyMomentum(ImplicitMethod):
         x, R, v, omega = initial_motion(model, scene)
         W = jax.vmap(skew)(omega) @ R
         zero, rates = jnp.zeros(()), predictor.initial_rates(v, omega)
-        return EnergyMomentumState(jnp.asarray(time, float), x, R, v, W, zero, zero, rates)
+        return EnergyMomentumState(
+            time=jnp.asarray(time, float),
+            x=x,
+            R=R,
+            v=v,
+            W=W,
+            external_work=zero,
+            dissipated=zero,
+            rates=rates,
+        )
 
     def begin(self, model: Model, state: EnergyMomentumState, dt):
         def middle(history):
@@ -196,14 +205,14 @@ class EnergyMomentum(ImplicitMethod):
         # R₁ - R₀ = ~θ R_m, without the digits that a subtraction loses.
         turned = jax.vmap(skew)(u[:, 3:]) @ (state.R + motion.R)
         return EnergyMomentumState(
-            begun.end,
-            motion.x,
-            motion.R,
-            2.0 * u[:, :3] / dt - state.v,
-            turned / dt - state.W,
-            state.external_work + work,
-            dissipated,
-            predictor.remember(state.rates, u, dt),
+            time=begun.end,
+            x=motion.x,
+            R=motion.R,
+            v=2.0 * u[:, :3] / dt - state.v,
+            W=turned / dt - state.W,
+            external_work=state.external_work + work,
+            dissipated=dissipated,
+            rates=predictor.remember(state.rates, u, dt),
         )
 
     def observe(self, model: Model, state: EnergyMomentumState) -> Observation:

@@ -148,7 +148,16 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             a = jnp.zeros_like(v)
         spins = self._initial_spins(model, R, omega)
         rates = predictor.initial_rates(v, omega)
-        return GEMState(jnp.asarray(time, float), x, R, v, a, spins, jnp.zeros(()), rates)
+        return GEMState(
+            time=jnp.asarray(time, float),
+            x=x,
+            R=R,
+            v=v,
+            a=a,
+            spins=spins,
+            external_work=jnp.zeros(()),
+            rates=rates,
+        )
 
     def _initial_spins(self, model: Model, R, omega) -> Spins | None:
         if self.inertia == "none":
@@ -187,14 +196,14 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             reaction = self.balance(model, state, begun, u).residual.reshape(-1)[model.tables.held]
             work = work + jnp.sum(reaction * u.reshape(-1)[model.tables.held])
         return GEMState(
-            begun.end,
-            motion.x,
-            motion.R,
-            factors.first(u[:, :3], state.v, state.a),
-            factors.second(u[:, :3], state.v, state.a),
-            spins,
-            state.external_work + work,
-            predictor.remember(state.rates, u, dt),
+            time=begun.end,
+            x=motion.x,
+            R=motion.R,
+            v=factors.first(u[:, :3], state.v, state.a),
+            a=factors.second(u[:, :3], state.v, state.a),
+            spins=spins,
+            external_work=state.external_work + work,
+            rates=predictor.remember(state.rates, u, dt),
         )
 
     def observe(self, model: Model, state: GEMState) -> Observation:

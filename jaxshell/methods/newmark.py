@@ -95,15 +95,15 @@ class ForceLevelMethod(ImplicitMethod):
             force = model.internal_force(x, R) - model.external_load(x, R, jnp.asarray(time))
             reaction = force.reshape(-1)[model.tables.held]
         return NewmarkState(
-            jnp.asarray(time, float),
-            x,
-            R,
-            v,
-            initial_translational_acceleration(model, x, R, time),
-            seven_point.initial_spins(model, R, omega),
-            jnp.zeros(()),
-            reaction,
-            predictor.initial_rates(v, omega),
+            time=jnp.asarray(time, float),
+            x=x,
+            R=R,
+            v=v,
+            a=initial_translational_acceleration(model, x, R, time),
+            spins=seven_point.initial_spins(model, R, omega),
+            external_work=jnp.zeros(()),
+            reaction=reaction,
+            rates=predictor.initial_rates(v, omega),
         )
 
     def begin(self, model: Model, state: NewmarkState, dt):
@@ -129,15 +129,15 @@ class ForceLevelMethod(ImplicitMethod):
             middle = (0.5 + factors.alpha_f) * reaction + (0.5 - factors.alpha_f) * state.reaction
             work = work + jnp.sum(middle * u.reshape(-1)[model.tables.held])
         return NewmarkState(
-            begun.end,
-            motion.x,
-            motion.R,
-            factors.first(u[:, :3], state.v, state.a),
-            factors.second(u[:, :3], state.v, state.a),
-            seven_point.turned_spins(model, motion.theta, state.spins, factors),
-            state.external_work + work,
-            reaction,
-            predictor.remember(state.rates, u, dt),
+            time=begun.end,
+            x=motion.x,
+            R=motion.R,
+            v=factors.first(u[:, :3], state.v, state.a),
+            a=factors.second(u[:, :3], state.v, state.a),
+            spins=seven_point.turned_spins(model, motion.theta, state.spins, factors),
+            external_work=state.external_work + work,
+            reaction=reaction,
+            rates=predictor.remember(state.rates, u, dt),
         )
 
     def observe(self, model: Model, state: NewmarkState) -> Observation:

@@ -89,7 +89,13 @@ class Static(ImplicitMethod):
 
     def start(self, model: Model, scene, time) -> StaticState:
         x, R, v, _ = initial_motion(model, scene)
-        return StaticState(jnp.asarray(time, float), x - model.x0, R, jnp.zeros_like(v), jnp.zeros(()))
+        return StaticState(
+            time=jnp.asarray(time, float),
+            d=x - model.x0,
+            R=R,
+            v=jnp.zeros_like(v),
+            external_work=jnp.zeros(()),
+        )
 
     def configuration(self, state: StaticState):
         return state.d, state.R
@@ -116,7 +122,13 @@ class Static(ImplicitMethod):
             carried = reactions_at(model, state.d, state.R, state.time)
             force = force + 0.5 * (carried + reactions_at(model, motion.x, motion.R, end))
         work = state.external_work + jnp.sum(force * u)
-        return StaticState(end, motion.x, motion.R, state.v, work)
+        return StaticState(
+            time=end,
+            d=motion.x,
+            R=motion.R,
+            v=state.v,
+            external_work=work,
+        )
 
     def observe(self, model: Model, state: StaticState) -> Observation:
         zero = jnp.zeros(())

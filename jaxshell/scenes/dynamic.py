@@ -10,7 +10,7 @@ from jaxshell import generators
 from jaxshell.loads import EdgeForce, History, NodalForce
 from jaxshell.mesh import Mesh, structured_triangles
 from jaxshell.scene import Defaults, Initial, Scene
-from jaxshell.section import Section
+from jaxshell.sections import Section
 from jaxshell.supports import pinned
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxshell.loads import EdgeForce, History, Load, NodalForce
 from jaxshell.mesh import Mesh, structured_triangles
 from jaxshell.scene import Defaults, Scene
-from jaxshell.section import Section
+from jaxshell.sections import Section
 from jaxshell.supports import Support, clamped, symmetry
 
 

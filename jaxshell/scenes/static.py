@@ -13,7 +13,7 @@ from jaxshell import generators
 from jaxshell.loads import EdgeForce, NodalForce, NodalMoment
 from jaxshell.mesh import Mesh, structured_triangles
 from jaxshell.scene import Scene
-from jaxshell.section import Section
+from jaxshell.sections import Section
 from jaxshell.supports import Support, clamped, pinned, symmetry
 
 _DENSITY = 1.0

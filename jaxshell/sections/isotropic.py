@@ -1,10 +1,6 @@
-"""The shell's section: what a reference surface of the shell is made of.
+"""The homogeneous isotropic section: a thickness and an elastic material, each one value or one per element."""
 
-A section gives its resultants, the stiffnesses and masses of a unit of surface, for every element; the elements know
-nothing else of it. `Section` is the isotropic one.
-"""
-
-import abc
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -14,44 +10,10 @@ from jaxtyping import Array, Float
 
 from jaxshell.checks import check_finite, check_positive, float_array, is_concrete
 from jaxshell.mesh import Mesh
+from jaxshell.sections.base import AnySection, Resultants
 
 BETA_0_MINIMUM = 0.01
 """Least factor of the membrane's higher-order stiffness, so that the element keeps its rank of 6."""
-
-
-class Resultants(eqx.Module):
-    """A unit of the shell's surface, in the element's axes (e1, e2): N = A ε + B κ, M = B ε + D κ."""
-
-    A: Float[Array, "*m 3 3"]
-    """Membrane stiffness [force/length]."""
-    D: Float[Array, "*m 3 3"]
-    """Bending stiffness [force·length]."""
-    mass_per_area: Float[Array, "*m"]
-    """M_ρ = ∫ρ dz, eq. (30) of Yang & Xia 2014 [mass/length²]."""
-    rotary_inertia: Float[Array, "*m"]
-    """∫ρ z² dz, the two equal entries of I_ρ⁰, eq. (32) [mass]."""
-    beta0: Float[Array, "*m"]
-    """Factor of the membrane's higher-order (drilling) stiffness, Felippa 2003."""
-    B: Float[Array, "*m 3 3"] | None = None
-    """Coupling of membrane and bending [force]; None where there is none."""
-
-
-class AnySection(eqx.Module):
-    """What every kind of section offers."""
-
-    @abc.abstractmethod
-    def resultants(self, mesh: Mesh) -> Resultants:
-        """Resultants (m, ...) of the elements of `mesh`, each in its own axes. Differentiable.
-
-        Raises ValueError where the section does not fit the mesh.
-        """
-
-    def check(self, mesh: Mesh) -> None:
-        """Raise ValueError where the section does not fit the mesh; called when the scene is made."""
-
-    def mass_per_area(self, mesh: Mesh) -> Float[Array, " m"]:
-        """ρh of every element [mass/length²]."""
-        return self.resultants(mesh).mass_per_area
 
 
 class Section(AnySection):
@@ -65,6 +27,8 @@ class Section(AnySection):
 
     Units are the user's, consistently. Raises ValueError naming the value that is out of range.
     """
+
+    kind: ClassVar[str] = "isotropic"
 
     thickness: Float[jax.Array, "*m"] = eqx.field(converter=float_array)
     young_modulus: Float[jax.Array, "*m"] = eqx.field(converter=float_array)
@@ -101,10 +65,6 @@ class Section(AnySection):
                 )
             values[name] = jnp.broadcast_to(value, (n_elements,))
         return Section(**values)
-
-
-SECTIONS: tuple[type[AnySection], ...] = (Section,)
-"""Every kind that result files know."""
 
 
 def isotropic(thickness, young_modulus, poisson_ratio, density) -> Resultants:
