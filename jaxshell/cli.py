@@ -212,7 +212,8 @@ def _plot(options: argparse.Namespace) -> int:
 def _chart(options: argparse.Namespace) -> int:
     one_thread_for_small_meshes(options.scene)
     _prepare_jax()
-    from jaxshell.chart import chart, default_window, draw, mesh_points, write_points
+    from jaxshell.chart import chart, default_window, mesh_points, write_points
+    from jaxshell.plotting.work_precision import draw
     from jaxshell.scenes import PAPER
 
     scene, settings, stem = open_scene(options.scene)

@@ -2,6 +2,7 @@
 
 import contextlib
 import time
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -18,7 +19,7 @@ from jaxshell.linear_solver import Handle, LinearSolver, default_solver
 from jaxshell.methods.base import Method, Solvers
 from jaxshell.model import structure_of
 from jaxshell.newton import Newton
-from jaxshell.output import outputs_of
+from jaxshell.output import Output
 from jaxshell.program import Carry, Frame, Plan, Record
 from jaxshell.quoted import quote
 from jaxshell.restart import restored
@@ -133,7 +134,7 @@ class Log:
             "reactions": plan.reactions,
             **(settings or {}),
         }
-        self.outputs = outputs_of(output)
+        self.outputs = _outputs_of(output)
         self.records: list[Record] = []
         self.frames: list[Frame] = []
         self.begun = time.perf_counter()
@@ -186,6 +187,19 @@ class Log:
             output.finish(RESULT_NAMES[code], message, stats)
         record, frame = jax.device_put((record, frame))
         return solution_of(self.scene, record, frame, state, result_of(code), message, stats, self.analysis)
+
+
+def _outputs_of(given) -> tuple[Output, ...]:
+    """The outputs of an `output=` argument: a path of a result file, an `Output`, several of them, or None."""
+    if given is None:
+        return ()
+    if isinstance(given, Output):
+        return (given,)
+    if isinstance(given, Sequence) and not isinstance(given, str | bytes):
+        return tuple(output for item in given for output in _outputs_of(item))
+    from jaxshell.storage import ResultWriter  # h5py only where it writes
+
+    return (ResultWriter(given),)
 
 
 def result_of(code: int) -> RESULTS:

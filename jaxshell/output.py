@@ -1,7 +1,6 @@
 """Outputs: what receives a run as it goes. The result file is one (`jaxshell.storage.ResultWriter`)."""
 
 import abc
-from collections.abc import Sequence
 
 from jaxshell.scene import Scene
 from jaxshell.solution import Solution
@@ -29,16 +28,3 @@ class Output(abc.ABC):
     @abc.abstractmethod
     def close(self) -> None:
         """Let go of files; called at the end in any case, also of a run that was stopped."""
-
-
-def outputs_of(given) -> tuple[Output, ...]:
-    """The outputs of an `output=` argument: a path of a result file, an `Output`, several of them, or None."""
-    if given is None:
-        return ()
-    if isinstance(given, Output):
-        return (given,)
-    if isinstance(given, Sequence) and not isinstance(given, str | bytes):
-        return tuple(output for item in given for output in outputs_of(item))
-    from jaxshell.storage import ResultWriter  # h5py only where it writes
-
-    return (ResultWriter(given),)

@@ -16,6 +16,7 @@ from jaxshell import references  # noqa: E402
 from jaxshell.advice_text import command_line, describe, run_section  # noqa: E402
 from jaxshell.chart import Configuration, Point  # noqa: E402
 from jaxshell.cli import main  # noqa: E402
+from jaxshell.plotting import work_precision  # noqa: E402
 from jaxshell.references import Reference  # noqa: E402
 from jaxshell.rotations import exp  # noqa: E402
 from jaxshell.scene_file import RUN_KEYS  # noqa: E402
@@ -98,13 +99,13 @@ def point(label, dt, seconds, error, kind="method"):
 
 def test_pareto_front():
     points = [point("a", 1, 1.0, 0.1), point("b", 1, 2.0, 0.2), point("c", 1, 3.0, 0.01), point("d", 1, 0.5, np.inf)]
-    assert [p.label for p in charting.pareto(points)] == ["a", "c"]
+    assert [p.label for p in work_precision.pareto(points)] == ["a", "c"]
 
 
 def test_picture_shows_methods_choices_and_peers(tmp_path):
     points = [point("EMC", dt, 1 / dt, dt**2) for dt in (1.0, 0.5)]
     points += [point("KLU", 0.5, 3.0, 0.25, "linear solver"), point("broken", 1.0, 1.0, np.inf)]
-    figure = charting.draw("a scene", points, [point("Kratos", 1.0, 30.0, 0.9)], floor=1e-5)
+    figure = work_precision.draw("a scene", points, [point("Kratos", 1.0, 30.0, 0.9)], floor=1e-5)
     left, right = figure.axes
     assert {"EMC", "Kratos"} <= set(left.get_legend_handles_labels()[1])
     assert "KLU" in right.get_legend_handles_labels()[1]
@@ -144,7 +145,9 @@ def test_meshes_are_compared_with_the_finest(monkeypatch):
     finest = 1.0 + 25.0**-2
     expected = [(n**-2.0 - 25.0**-2) / finest for n in (4, 6, 10, 16)]
     assert np.allclose([p.error for p in points], expected)
-    assert "Triangles, against the finest mesh" in [axes.get_title() for axes in charting.draw("cap", points).axes]
+    assert "Triangles, against the finest mesh" in [
+        axes.get_title() for axes in work_precision.draw("cap", points).axes
+    ]
 
 
 # --- the search --------------------------------------------------------------------------------------------

@@ -12,11 +12,11 @@ import pytest
 jax.config.update("jax_enable_x64", True)
 
 from jaxshell.cli import main  # noqa: E402
+from jaxshell.diagnostics import loads_end  # noqa: E402
 from jaxshell.generators import rectangle  # noqa: E402
 from jaxshell.loads import Gravity, History, NodalForce  # noqa: E402
 from jaxshell.method_names import choose_methods, method_label, parse_method  # noqa: E402
 from jaxshell.methods import GeneralizedEnergyMomentum, Newmark  # noqa: E402
-from jaxshell.report import loads_end  # noqa: E402
 from jaxshell.run_settings import _about_as_many_elements  # noqa: E402
 from jaxshell.scene import Scene  # noqa: E402
 from jaxshell.scenes import BY_NAME, PAPER  # noqa: E402

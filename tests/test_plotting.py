@@ -14,11 +14,11 @@ jax.config.update("jax_enable_x64", True)
 
 from synthetic import synthetic_solution  # noqa: E402
 
+from jaxshell.diagnostics import energy_balance, momentum_scales  # noqa: E402
 from jaxshell.generators import rectangle  # noqa: E402
 from jaxshell.plotting import figures, plot  # noqa: E402
 from jaxshell.plotting.shapes import _label_shapes, symmetry_planes  # noqa: E402
 from jaxshell.plotting.style import line, scaled  # noqa: E402
-from jaxshell.report import energy_balance, momentum_scales  # noqa: E402
 from jaxshell.scene import Scene  # noqa: E402
 from jaxshell.scenes import PAPER  # noqa: E402
 from jaxshell.sections import Section  # noqa: E402

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
+from jaxshell.diagnostics import energy_balance, momentum_scales
 from jaxshell.plotting.shapes import symmetry_planes
 from jaxshell.plotting.style import BLACK, BLUE, GREEN, PURPLE, VERMILLION, WIDTH, line, scaled, symmetry_note
-from jaxshell.report import energy_balance, momentum_scales
 from jaxshell.scene import Scene
 from jaxshell.solution import Solution
 
