@@ -1,4 +1,4 @@
-"""What `jaxshell.advise` found, and how it is told: in words, as a call, as a command, as a scene file's section."""
+"""What `jaxshell.advise` found, and how it is told: in words, as a call, a command, or a scene file's section."""
 
 from typing import NamedTuple
 

@@ -1,6 +1,6 @@
 """The compiled programs of a run: preparing it, scanning over fixed steps, trying steps under step control.
 
-Each is a jitted function of the model, a `Plan` and a `Carry`; `jaxshell.simulation` drives them from the host.
+Each is a jitted function of the model, a `Plan` and a `Carry`; `jaxshell.simulation` drives them.
 """
 
 from typing import Any, NamedTuple

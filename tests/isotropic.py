@@ -2,7 +2,9 @@
 
 from jaxshell.elements import bending, membrane
 from jaxshell.elements.corotational import Element
-from jaxshell.sections.isotropic import isotropic
+from jaxshell.sections.isotropic import isotropic, plane_stress_matrix
+
+__all__ = ["bending_stiffness", "element", "membrane_stiffness", "plane_stress_matrix"]
 
 
 def element(x0, thickness, young_modulus, poisson_ratio, density) -> Element:

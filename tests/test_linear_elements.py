@@ -12,7 +12,7 @@ from jax.test_util import check_grads
 
 membrane_stiffness = jax.jit(isotropic.membrane_stiffness)
 bending_stiffness = jax.jit(isotropic.bending_stiffness)
-plane_stress_matrix = jax.jit(membrane.plane_stress_matrix)
+plane_stress_matrix = jax.jit(isotropic.plane_stress_matrix)
 
 DATA = Path(__file__).parent / "data"
 MEMBRANE = [6 * node + dof for node in range(3) for dof in (0, 1, 5)]
