@@ -13,9 +13,9 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_enable_compilation_cache", False)
 
 import jaxshell as js  # noqa: E402
-from jaxshell import program  # noqa: E402
-from jaxshell.compiled import OPTIONS  # noqa: E402
-from jaxshell.driver import set_up  # noqa: E402
+from jaxshell.analyses import program  # noqa: E402
+from jaxshell.analyses.driver import set_up  # noqa: E402
+from jaxshell.numerics.compiled import OPTIONS  # noqa: E402
 
 
 def measure(method, options) -> tuple[float, float, float]:

@@ -18,8 +18,8 @@ import numpy as np
 from pages import fill  # beside this script
 
 import jaxshell as js
-from jaxshell.assembly import analyse
-from jaxshell.model import Model, structure_of
+from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.tables import analyse
 from jaxshell.plotting.style import STYLE, WIDTH, line
 
 DOCS = Path(__file__).parent.parent / "docs"

@@ -29,10 +29,10 @@ from scipy.sparse import csc_matrix  # noqa: E402
 from scipy.sparse.linalg import splu  # noqa: E402
 
 import jaxshell as js  # noqa: E402
-from jaxshell.assembly import analyse  # noqa: E402
-from jaxshell.compiled import OPTIONS  # noqa: E402
-from jaxshell.linear_solver import default_solver  # noqa: E402
-from jaxshell.model import Model, structure_of  # noqa: E402
+from jaxshell.assembly.discretised import Model, structure_of  # noqa: E402
+from jaxshell.assembly.tables import analyse  # noqa: E402
+from jaxshell.numerics.compiled import OPTIONS  # noqa: E402
+from jaxshell.solvers.linear_solver import default_solver  # noqa: E402
 
 PAGE = Path(__file__).parent.parent / "docs" / "performance.md"
 SCENES = {"cap": js.scenes.spherical_cap, "plate": js.scenes.free_plate, "opened cap": js.scenes.opened_cap}

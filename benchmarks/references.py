@@ -22,8 +22,8 @@ import numpy as np
 jax.config.update("jax_enable_x64", True)
 
 import jaxshell as js  # noqa: E402
-from jaxshell import references  # noqa: E402
-from jaxshell.references import Reference, agreement, extrapolate  # noqa: E402
+from jaxshell.advice import references  # noqa: E402
+from jaxshell.advice.references import Reference, agreement, extrapolate  # noqa: E402
 
 HERE = Path(__file__).parent
 DATA = Path(references.__file__).parent / "data"

@@ -33,10 +33,10 @@ from matplotlib import cm, colors, patches
 
 import jaxshell as js
 from benchmarks.pages import fill, table
-from jaxshell.assembly import nodal_tables
+from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.tables import nodal_tables
 from jaxshell.elements import corotational
 from jaxshell.methods import Method
-from jaxshell.model import Model, structure_of
 from jaxshell.plotting.style import ORANGE, VERMILLION
 
 GROWN = 0.05

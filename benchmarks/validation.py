@@ -19,8 +19,9 @@ import numpy as np
 
 import jaxshell as js
 from benchmarks.pages import fill, table
-from jaxshell import generators, scenes
-from jaxshell.supports import ALL
+from jaxshell import scenes
+from jaxshell.model import generators
+from jaxshell.model.supports import ALL
 
 jax.config.update("jax_enable_x64", True)
 

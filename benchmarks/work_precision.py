@@ -30,10 +30,10 @@ jax.config.update("jax_enable_x64", True)
 
 from benchmarks.cases import SCENES, write_case  # noqa: E402
 from benchmarks.workers import HERE, Worker, machine  # noqa: E402
-from jaxshell import references  # noqa: E402
-from jaxshell.chart import Point, chart, configurations, mesh_points, plain, reference_of, write_points  # noqa: E402
+from jaxshell.advice import references  # noqa: E402
+from jaxshell.advice.chart import Point, chart, configurations, mesh_points, plain, reference_of, write_points  # noqa: E402
+from jaxshell.advice.references import Reference, agreement, extrapolate  # noqa: E402
 from jaxshell.plotting.work_precision import draw  # noqa: E402
-from jaxshell.references import Reference, agreement, extrapolate  # noqa: E402
 
 TITLES = {"cap": "Clamped cap", "opened_cap": "Top-opened cap", "plate": "Free plate", "tiny": "Tiny cap"}
 # Steps of the peers over the scene's, coarse to fine; the last two make the peer's own reference. Kratos needs

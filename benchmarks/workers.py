@@ -11,7 +11,7 @@ import time
 from importlib import metadata
 from pathlib import Path
 
-from jaxshell.run_settings import SMALL
+from jaxshell.command.run_settings import SMALL
 
 HERE = Path(__file__).parent
 SCRIPTS = {

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from jaxshell import scenes
-    from jaxshell.arc_length import solve_arc_length
-    from jaxshell.driver import SimulationError
-    from jaxshell.linear_solver import KLU, Dense, Pardiso
-    from jaxshell.loads import EdgeForce, Gravity, History, NodalForce, NodalMoment, NormalForce, Pressure
-    from jaxshell.mesh import Mesh, structured_triangles
+    from jaxshell.analyses.arc_length import solve_arc_length
+    from jaxshell.analyses.driver import SimulationError
+    from jaxshell.analyses.modal import BucklingModes, Modes, linear_buckling, natural_frequencies
+    from jaxshell.analyses.simulation import simulate
+    from jaxshell.analyses.statics import reactions, solve_static
+    from jaxshell.analyses.step_control import StepControl
     from jaxshell.methods import (
         HHT,
         Bathe,
@@ -22,16 +23,15 @@ if TYPE_CHECKING:
         GeneralizedEnergyMomentum,
         Newmark,
     )
-    from jaxshell.modal import BucklingModes, Modes, linear_buckling, natural_frequencies
-    from jaxshell.newton import Newton
-    from jaxshell.output import Output
-    from jaxshell.scene import Initial, Scene
-    from jaxshell.sections import Section
-    from jaxshell.simulation import simulate
-    from jaxshell.solution import RESULTS, Energy, Momentum, Solution
-    from jaxshell.statics import reactions, solve_static
-    from jaxshell.step_control import StepControl
-    from jaxshell.supports import Support, clamped, pinned, symmetry
+    from jaxshell.model.loads import EdgeForce, Gravity, History, NodalForce, NodalMoment, NormalForce, Pressure
+    from jaxshell.model.mesh import Mesh, structured_triangles
+    from jaxshell.model.scene import Initial, Scene
+    from jaxshell.model.sections import Section
+    from jaxshell.model.supports import Support, clamped, pinned, symmetry
+    from jaxshell.results.output import Output
+    from jaxshell.results.solution import RESULTS, Energy, Momentum, Solution
+    from jaxshell.solvers.linear_solver import KLU, Dense, Pardiso
+    from jaxshell.solvers.newton import Newton
 
 __all__ = [
     "HHT",
@@ -80,11 +80,11 @@ __all__ = [
 ]
 
 _HOMES = {
-    "arc_length": ["solve_arc_length"],
-    "driver": ["SimulationError"],
-    "linear_solver": ["KLU", "Dense", "Pardiso"],
-    "loads": ["EdgeForce", "Gravity", "History", "NodalForce", "NodalMoment", "NormalForce", "Pressure"],
-    "mesh": ["Mesh", "structured_triangles"],
+    "analyses.arc_length": ["solve_arc_length"],
+    "analyses.driver": ["SimulationError"],
+    "solvers.linear_solver": ["KLU", "Dense", "Pardiso"],
+    "model.loads": ["EdgeForce", "Gravity", "History", "NodalForce", "NodalMoment", "NormalForce", "Pressure"],
+    "model.mesh": ["Mesh", "structured_triangles"],
     "methods": [
         "HHT",
         "Bathe",
@@ -94,17 +94,17 @@ _HOMES = {
         "GeneralizedEnergyMomentum",
         "Newmark",
     ],
-    "modal": ["BucklingModes", "Modes", "linear_buckling", "natural_frequencies"],
-    "newton": ["Newton"],
-    "output": ["Output"],
-    "scene": ["Initial", "Scene"],
+    "analyses.modal": ["BucklingModes", "Modes", "linear_buckling", "natural_frequencies"],
+    "solvers.newton": ["Newton"],
+    "results.output": ["Output"],
+    "model.scene": ["Initial", "Scene"],
     "scenes": ["scenes"],
-    "sections": ["Section"],
-    "simulation": ["simulate"],
-    "solution": ["RESULTS", "Energy", "Momentum", "Solution"],
-    "statics": ["reactions", "solve_static"],
-    "step_control": ["StepControl"],
-    "supports": ["Support", "clamped", "pinned", "symmetry"],
+    "model.sections": ["Section"],
+    "analyses.simulation": ["simulate"],
+    "results.solution": ["RESULTS", "Energy", "Momentum", "Solution"],
+    "analyses.statics": ["reactions", "solve_static"],
+    "analyses.step_control": ["StepControl"],
+    "model.supports": ["Support", "clamped", "pinned", "symmetry"],
 }
 """The public names by their modules. None but `scenes` is a module's own name: importing a module sets that name."""
 

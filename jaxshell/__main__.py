@@ -2,6 +2,6 @@
 
 import sys
 
-from jaxshell.cli import main
+from jaxshell.command.cli import main
 
 sys.exit(main())

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxshell as js
-from jaxshell.assembly import analyse
-from jaxshell.model import Model, structure_of
-from jaxshell.statics import proportional
+from jaxshell.analyses.statics import proportional
+from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.tables import analyse
 
 
 def imbalance(solution) -> float:

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from jaxshell.compiled import OPTIONS
+from jaxshell.numerics.compiled import OPTIONS
 
 # Programs of the tests' own are compiled as jaxshell's are: in half the time.
 _FLAGS = " ".join(f"--{name}={str(value).lower()}" for name, value in OPTIONS.items())

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from properties import numbers, powers, vectors
 
 import jaxshell as js
-from jaxshell import generators
-from jaxshell.assembly import analyse
+from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.tables import analyse
 from jaxshell.elements.corotational import internal_force
-from jaxshell.iteration import Linear
-from jaxshell.loads.pressure import pressure_force
 from jaxshell.methods.base import Observation, Solvers
-from jaxshell.model import Model, structure_of
+from jaxshell.model import generators
+from jaxshell.model.loads.pressure import pressure_force
+from jaxshell.solvers.iteration import Linear
 
 CLOSED = 1e-10
 """Of the sum of the sizes of what is in balance, besides what Newton leaves at the free freedoms."""

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxshell.scene import Scene
-from jaxshell.solution import RESULTS, Energy, Momentum, Solution, Stats
+from jaxshell.model.scene import Scene
+from jaxshell.results.solution import RESULTS, Energy, Momentum, Solution, Stats
 
 
 def synthetic_solution(scene: Scene, steps: int = 12, save_every: int = 3, method: str = "EMC") -> Solution:

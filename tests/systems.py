@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from jaxshell.linear_solver import KLU, Dense, Pardiso, SparsityPattern
+from jaxshell.solvers.linear_solver import KLU, Dense, Pardiso, SparsityPattern
 
 ROUND_OFF = 1e-12  # of matrices whose condition numbers are below 100
 SOLVERS = (Pardiso, KLU, Dense)

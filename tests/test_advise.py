@@ -10,16 +10,16 @@ import pytest
 jax.config.update("jax_enable_x64", True)
 
 import jaxshell as js  # noqa: E402
-from jaxshell import advise as advising  # noqa: E402
-from jaxshell import chart as charting  # noqa: E402
-from jaxshell import references  # noqa: E402
-from jaxshell.advice_text import command_line, describe, run_section  # noqa: E402
-from jaxshell.chart import Configuration, Point  # noqa: E402
-from jaxshell.cli import main  # noqa: E402
+from jaxshell.advice import advise as advising  # noqa: E402
+from jaxshell.advice import chart as charting  # noqa: E402
+from jaxshell.advice import references  # noqa: E402
+from jaxshell.advice.chart import Configuration, Point  # noqa: E402
+from jaxshell.advice.references import Reference  # noqa: E402
+from jaxshell.advice.text import command_line, describe, run_section  # noqa: E402
+from jaxshell.command.cli import main  # noqa: E402
+from jaxshell.files.scene_file import RUN_KEYS  # noqa: E402
+from jaxshell.numerics.rotations import exp  # noqa: E402
 from jaxshell.plotting import work_precision  # noqa: E402
-from jaxshell.references import Reference  # noqa: E402
-from jaxshell.rotations import exp  # noqa: E402
-from jaxshell.scene_file import RUN_KEYS  # noqa: E402
 
 TIMES = np.linspace(0.0, 2.0, 41)
 SINE = Reference(TIMES, {"apex": np.sin(TIMES)[:, None]}, 1e-6, "a sine")

@@ -7,9 +7,9 @@ import pytest
 from scipy.sparse import csr_matrix
 
 import jaxshell as js
-from jaxshell.assembly import GatherSum, analyse
-from jaxshell.generators import rectangle
-from jaxshell.model import structure_of
+from jaxshell.assembly.discretised import structure_of
+from jaxshell.assembly.tables import GatherSum, analyse
+from jaxshell.model.generators import rectangle
 
 SECTION = js.Section(0.1, 1e4, 0.3, 5.0)
 

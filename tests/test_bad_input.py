@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import jaxshell as js
-from jaxshell import program
-from jaxshell.generators import rectangle
-from jaxshell.statics import solve_static
+from jaxshell.analyses import program
+from jaxshell.analyses.statics import solve_static
+from jaxshell.model.generators import rectangle
 
 NODES = [[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
 TRIANGLES = [[0, 1, 2], [0, 2, 3]]

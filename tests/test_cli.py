@@ -11,19 +11,19 @@ import pytest
 
 jax.config.update("jax_enable_x64", True)
 
-from jaxshell.cli import main  # noqa: E402
-from jaxshell.diagnostics import loads_end  # noqa: E402
-from jaxshell.generators import rectangle  # noqa: E402
-from jaxshell.loads import Gravity, History, NodalForce  # noqa: E402
-from jaxshell.method_names import choose_methods, method_label, parse_method  # noqa: E402
+from jaxshell.analyses.statics import solve_static  # noqa: E402
+from jaxshell.command.cli import main  # noqa: E402
+from jaxshell.command.method_names import choose_methods, method_label, parse_method  # noqa: E402
+from jaxshell.command.run_settings import _about_as_many_elements  # noqa: E402
 from jaxshell.methods import GeneralizedEnergyMomentum, Newmark  # noqa: E402
-from jaxshell.run_settings import _about_as_many_elements  # noqa: E402
-from jaxshell.scene import Scene  # noqa: E402
+from jaxshell.model.generators import rectangle  # noqa: E402
+from jaxshell.model.loads import Gravity, History, NodalForce  # noqa: E402
+from jaxshell.model.scene import Scene  # noqa: E402
+from jaxshell.model.sections import Section  # noqa: E402
+from jaxshell.model.supports import clamped  # noqa: E402
+from jaxshell.results.diagnostics import loads_end  # noqa: E402
+from jaxshell.results.solution import RESULTS, Solution  # noqa: E402
 from jaxshell.scenes import BY_NAME, PAPER  # noqa: E402
-from jaxshell.sections import Section  # noqa: E402
-from jaxshell.solution import RESULTS, Solution  # noqa: E402
-from jaxshell.statics import solve_static  # noqa: E402
-from jaxshell.supports import clamped  # noqa: E402
 
 STRIP = """
 [mesh]
@@ -123,7 +123,7 @@ def test_a_run_goes_on_from_its_file(method, finished, tmp_path):
 
 def test_a_run_that_was_stopped_goes_on_to_its_end(finished, tmp_path, capsys, monkeypatch):
     """The end that it was to have; a file whose run has ended asks for how long, and a scene for a file."""
-    from jaxshell.storage import ResultWriter
+    from jaxshell.results.hdf5 import ResultWriter
 
     append = ResultWriter.append
 
@@ -243,7 +243,7 @@ def test_elements_are_estimated_before_jax_starts(scene, divisions, elements, fi
 def test_one_thread_for_a_small_mesh_only():
     """Seen from outside: which environment JAX starts with; the user's own word comes first."""
     program = (
-        "import os, sys; from jaxshell.run_settings import one_thread_for_small_meshes as f; "
+        "import os, sys; from jaxshell.command.run_settings import one_thread_for_small_meshes as f; "
         "f(*sys.argv[1:]); print(os.environ.get('NPROC'))"
     )
     bare = {key: value for key, value in os.environ.items() if key != "NPROC"}

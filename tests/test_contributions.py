@@ -12,16 +12,16 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 import jaxshell as js
-from jaxshell import generators
-from jaxshell.assembly import analyse
-from jaxshell.contribution import Contribution
-from jaxshell.frozen import Frozen
-from jaxshell.iteration import Linear
-from jaxshell.loads import Load
+from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.tables import analyse
 from jaxshell.methods.base import Solvers, _problem
 from jaxshell.methods.bathe import ThreePointBackward
 from jaxshell.methods.static import Static
-from jaxshell.model import Model, structure_of
+from jaxshell.model import generators
+from jaxshell.model.contribution import Contribution
+from jaxshell.model.loads import Load
+from jaxshell.numerics.frozen import Frozen
+from jaxshell.solvers.iteration import Linear
 
 NEWTON = js.Newton(tolerance=1e-13)
 METHODS = {

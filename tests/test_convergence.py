@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from linear import displacements
 
-from jaxshell import generators
-from jaxshell.mesh import Mesh, structured_triangles
+from jaxshell.model import generators
+from jaxshell.model.mesh import Mesh, structured_triangles
+from jaxshell.model.sections import Section
 from jaxshell.scenes import spherical_cap
-from jaxshell.sections import Section
 
 
 def rates(errors):

@@ -15,8 +15,8 @@ from test_linear_elements import (
     membrane_stiffness,
 )
 
-from jaxshell import rotations
 from jaxshell.elements import corotational
+from jaxshell.numerics import rotations
 
 THICKNESS, YOUNG, POISSON, DENSITY = 0.05, 1000.0, 0.3, 2.0
 X0 = np.array([[0.1, -0.2, 0.3], [1.1, 0.1, 0.2], [0.4, 0.7, 0.6]])

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 import jaxshell as js
 from jaxshell.elements import corotational, energy_momentum
-from jaxshell.loads.pressure import mean_pressure_force
 from jaxshell.methods.energy_momentum import DirectorMotion, ElementData, Shared
+from jaxshell.model.loads.pressure import mean_pressure_force
 
 NEWTON = js.Newton(tolerance=1e-13)
 CORNERS = np.array([[0.0, 0.0, 0.0], [1.0, 0.1, 0.2], [0.3, 0.9, -0.1]])

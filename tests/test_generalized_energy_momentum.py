@@ -8,16 +8,16 @@ from scipy.sparse import csr_matrix
 from test_methods import ends, order, strip
 
 import jaxshell as js
-from jaxshell.assembly import analyse
+from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.tables import analyse
 from jaxshell.elements.inertia import Spins
-from jaxshell.generators import rectangle
-from jaxshell.iteration import Linear
-from jaxshell.loads.pressure import pressure_force, pressure_stiffness
 from jaxshell.methods.base import Solvers, _problem
 from jaxshell.methods.generalized_energy_momentum import GEMState
-from jaxshell.model import Model, structure_of
-from jaxshell.newton import Newton
-from jaxshell.rotations import exp
+from jaxshell.model.generators import rectangle
+from jaxshell.model.loads.pressure import pressure_force, pressure_stiffness
+from jaxshell.numerics.rotations import exp
+from jaxshell.solvers.iteration import Linear
+from jaxshell.solvers.newton import Newton
 
 SECTION = js.Section(0.02, 1e6, 0.3, 1000.0)
 METHODS = {

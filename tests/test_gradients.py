@@ -12,8 +12,8 @@ import pytest
 from sensitivity import DT, STEPS, check_derivatives, measure, parameters, shell
 
 import jaxshell as js
-from jaxshell.batching import one_by_one
 from jaxshell.gradients import Checkpointed, Stored, _near_divisor, keep, scan_steps
+from jaxshell.numerics.batching import one_by_one
 
 # Tight, so that differences see round-off only.
 NEWTON = js.Newton(tolerance=1e-13)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxshell import rotations
 from jaxshell.elements import inertia
 from jaxshell.elements.inertia import GAUSS_POINTS, GAUSS_WEIGHTS, LINEAR_MASS, Spins, StepFactors
+from jaxshell.numerics import rotations
 
 AXIS = np.array([2.0, -1.0, 2.0]) / 3.0
 I_RHO = 0.7

@@ -17,8 +17,10 @@ from systems import (
     to_dense,
 )
 
-from jaxshell.assembly import analyse
-from jaxshell.linear_solver import (
+from jaxshell.assembly.discretised import structure_of
+from jaxshell.assembly.tables import analyse
+from jaxshell.scenes import spherical_cap
+from jaxshell.solvers.linear_solver import (
     KLU,
     Dense,
     Pardiso,
@@ -26,8 +28,6 @@ from jaxshell.linear_solver import (
     linear_solve,
     relative_residual,
 )
-from jaxshell.model import structure_of
-from jaxshell.scenes import spherical_cap
 
 
 @pytest.fixture(params=SOLVERS, ids=lambda kind: kind.__name__)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import jaxshell as js
-from jaxshell.assembly import analyse
-from jaxshell.generators import rectangle
-from jaxshell.model import Model, structure_of
+from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.tables import analyse
+from jaxshell.model.generators import rectangle
 
 RECTANGLE = rectangle(2.0, 1.0, [4, 2])
 SECTION = js.Section(0.1, 1e4, 0.3, 5.0)

@@ -12,15 +12,15 @@ import scipy.linalg
 from scipy.spatial.transform import Rotation
 
 import jaxshell as js
-from jaxshell.assembly import analyse
+from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.tables import analyse
 from jaxshell.elements import corotational
 from jaxshell.elements.inertia import PointStart, Spins
 from jaxshell.methods import seven_point
 from jaxshell.methods.bathe import ThreePointBackward
 from jaxshell.methods.central_difference import lumped_mass
 from jaxshell.methods.newmark import ElementData, step_factors
-from jaxshell.model import Model, structure_of
-from jaxshell.rotations import exp
+from jaxshell.numerics.rotations import exp
 
 METHODS = {
     "newmark": js.Newmark(),

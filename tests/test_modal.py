@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import jaxshell as js
-from jaxshell import generators
-from jaxshell.modal import mass_matrix
-from jaxshell.rotations import exp
-from jaxshell.supports import ALL
+from jaxshell.analyses.modal import mass_matrix
+from jaxshell.model import generators
+from jaxshell.model.supports import ALL
+from jaxshell.numerics.rotations import exp
 
 YOUNG_MODULUS, POISSON_RATIO, THICKNESS, DENSITY = 1e7, 0.3, 0.005, 2.0
 RIGIDITY = YOUNG_MODULUS * THICKNESS**3 / (12 * (1 - POISSON_RATIO**2))

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxshell.iteration import DIVERGED, SINGULAR, STAGNATED, SUCCESSFUL, Linear, Problem
-from jaxshell.linear_solver import Dense
+from jaxshell.assembly.sparsity import SparsityPattern
 from jaxshell.methods.base import Balance
-from jaxshell.newton import Newton, attach_derivative
-from jaxshell.sparsity import SparsityPattern
+from jaxshell.solvers.iteration import DIVERGED, SINGULAR, STAGNATED, SUCCESSFUL, Linear, Problem
+from jaxshell.solvers.linear_solver import Dense
+from jaxshell.solvers.newton import Newton, attach_derivative
 
 PATTERN = SparsityPattern(2, np.array([0, 2, 4]), np.array([0, 1, 0, 1]))
 SOLVER = Dense()

@@ -14,15 +14,15 @@ jax.config.update("jax_enable_x64", True)
 
 from synthetic import synthetic_solution  # noqa: E402
 
-from jaxshell.diagnostics import energy_balance, momentum_scales  # noqa: E402
-from jaxshell.generators import rectangle  # noqa: E402
+from jaxshell.model.generators import rectangle  # noqa: E402
+from jaxshell.model.scene import Scene  # noqa: E402
+from jaxshell.model.sections import Section  # noqa: E402
+from jaxshell.model.supports import Support, clamped, pinned, symmetry  # noqa: E402
 from jaxshell.plotting import figures, plot  # noqa: E402
 from jaxshell.plotting.shapes import _label_shapes, symmetry_planes  # noqa: E402
 from jaxshell.plotting.style import line, scaled  # noqa: E402
-from jaxshell.scene import Scene  # noqa: E402
+from jaxshell.results.diagnostics import energy_balance, momentum_scales  # noqa: E402
 from jaxshell.scenes import PAPER  # noqa: E402
-from jaxshell.sections import Section  # noqa: E402
-from jaxshell.supports import Support, clamped, pinned, symmetry  # noqa: E402
 
 
 @pytest.fixture(scope="module")

@@ -20,13 +20,13 @@ from marching import CLOSED, NEWTON, STEPS, TIME_STEPS, N, resultant, shells, si
 from properties import PROFILE, powers
 
 import jaxshell as js
-from jaxshell.assembly import analyse
+from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.tables import analyse
 from jaxshell.elements.inertia import Spins
-from jaxshell.iteration import Linear
 from jaxshell.methods import seven_point
 from jaxshell.methods.base import Solvers
-from jaxshell.model import Model, structure_of
-from jaxshell.rotations import skew
+from jaxshell.numerics.rotations import skew
+from jaxshell.solvers.iteration import Linear
 
 ROUND_OFF = 1e-13
 """Of the sum of the sizes of what is in balance."""

@@ -17,11 +17,11 @@ from properties import EPS, PROFILE, altitude_of, cases, numbers, powers, rigid_
 from scipy.spatial.transform import Rotation
 
 import jaxshell as js
-from jaxshell import rotations
 from jaxshell.elements import corotational, energy_momentum
 from jaxshell.elements.inertia import PointStart, StepFactors
 from jaxshell.methods import seven_point
 from jaxshell.methods.energy_momentum import DirectorMotion, director_inertia_forces
+from jaxshell.numerics import rotations
 
 ROUNDINGS = 100
 ZERO = jnp.zeros(18)

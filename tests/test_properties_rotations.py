@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import EPS, PROFILE, numbers, powers, vectors
 
-from jaxshell import rotations
+from jaxshell.numerics import rotations
 
 ROUND_OFF = 50 * EPS
 IDENTITY = np.eye(3)

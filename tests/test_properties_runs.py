@@ -31,8 +31,8 @@ from scipy.spatial.transform import Rotation
 
 import jaxshell as js
 from jaxshell import scenes
-from jaxshell.assembly import analyse
-from jaxshell.model import structure_of
+from jaxshell.assembly.discretised import structure_of
+from jaxshell.assembly.tables import analyse
 
 # --- EnergyMomentum ---------------------------------------------------------------------------------------
 

@@ -47,7 +47,7 @@ def test_unknown_name():
 def test_help_does_not_wait_for_jax():
     fresh(
         "import sys\n"
-        "from jaxshell.cli import main\n"
+        "from jaxshell.command.cli import main\n"
         "for argument in ('--help', '--version'):\n"
         "    try:\n"
         "        main([argument])\n"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxshell as js
-from jaxshell import generators
+from jaxshell.model import generators
 
 NEWTON = js.Newton(tolerance=1e-13)
 BALANCE = 1e-9

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxshell import rotations
+from jaxshell.numerics import rotations
 
 TERMS = 60
 BERNOULLI = [Fraction(1)]

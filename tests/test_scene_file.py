@@ -9,10 +9,10 @@ import pytest
 
 jax.config.update("jax_enable_x64", True)
 
-from jaxshell.generators import GENERATORS, rectangle  # noqa: E402
-from jaxshell.loads import EdgeForce, Gravity, NodalForce, NodalMoment, Pressure  # noqa: E402
-from jaxshell.mesh import Mesh  # noqa: E402
-from jaxshell.scene_file import read_scene_file  # noqa: E402
+from jaxshell.files.scene_file import read_scene_file  # noqa: E402
+from jaxshell.model.generators import GENERATORS, rectangle  # noqa: E402
+from jaxshell.model.loads import EdgeForce, Gravity, NodalForce, NodalMoment, Pressure  # noqa: E402
+from jaxshell.model.mesh import Mesh  # noqa: E402
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cantilever.toml"
 BASE = """

@@ -6,7 +6,7 @@ from balance import imbalance
 
 import jaxshell as js
 from jaxshell import scenes
-from jaxshell.mechanisms import check_supported
+from jaxshell.model.mechanisms import check_supported
 
 # scene, resultant of force and of moment that the model carries at load factor 1, area of the model's middle surface
 STATED = [

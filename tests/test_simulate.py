@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxshell as js
-from jaxshell.cli import main
+from jaxshell.command.cli import main
 
 DT, STEPS = 1e-5, 100
 EMC = js.GeneralizedEnergyMomentum()

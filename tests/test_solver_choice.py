@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from systems import SOLVERS, available
 
-from jaxshell.linear_solver import KLU, Dense, Pardiso, default_solver
+from jaxshell.solvers.linear_solver import KLU, Dense, Pardiso, default_solver
 
 
 @pytest.fixture(params=SOLVERS, ids=lambda kind: kind.__name__)
@@ -48,7 +48,7 @@ def test_import_changes_nothing():
     in_fresh_process(
         "import os, sys, jax\n"
         "before, environment = jax.config.values, dict(os.environ)\n"
-        "import jaxshell.linear_solver\n"
+        "import jaxshell.solvers.linear_solver\n"
         "assert jax.config.values == before and dict(os.environ) == environment\n"
         "assert 'pardiso_mkl_jax' not in sys.modules and 'klujax' not in sys.modules\n"
     )
@@ -57,7 +57,7 @@ def test_import_changes_nothing():
 def test_preparing_changes_no_setting_of_jax(solver):
     in_fresh_process(
         "import jax\n"
-        f"from jaxshell.linear_solver import {type(solver).__name__}, SparsityPattern\n"
+        f"from jaxshell.solvers.linear_solver import {type(solver).__name__}, SparsityPattern\n"
         "before = jax.config.values\n"
         "with jax.enable_x64(True):\n"
         f"    {type(solver).__name__}().prepare(SparsityPattern(1, [0, 1], [0]))\n"
@@ -67,7 +67,7 @@ def test_preparing_changes_no_setting_of_jax(solver):
 
 def test_float64_off(solver):
     in_fresh_process(
-        f"from jaxshell.linear_solver import {type(solver).__name__}, SparsityPattern\n"
+        f"from jaxshell.solvers.linear_solver import {type(solver).__name__}, SparsityPattern\n"
         "try:\n"
         f"    {type(solver).__name__}().prepare(SparsityPattern(1, [0, 1], [0]))\n"
         "except RuntimeError as error:\n"

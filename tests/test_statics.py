@@ -9,11 +9,12 @@ from balance import imbalance
 from linear import displacements
 
 import jaxshell as js
-from jaxshell import generators, scenes
-from jaxshell.assembly import analyse
+from jaxshell import scenes
+from jaxshell.analyses.statics import LoadFactor, proportional
+from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.tables import analyse
 from jaxshell.methods.static import Static
-from jaxshell.model import Model, structure_of
-from jaxshell.statics import LoadFactor, proportional
+from jaxshell.model import generators
 
 BALANCE = 1e-9
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxshell as js
-from jaxshell.step_control import StepControl, local_error
+from jaxshell.analyses.step_control import StepControl, local_error
 
 
 def cap(force=-27.8, times=(0.0, 1e-6, 1.0), values=(0.0, 1.0, 1.0)) -> js.Scene:

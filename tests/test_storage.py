@@ -16,14 +16,14 @@ jax.config.update("jax_enable_x64", True)
 
 from synthetic import synthetic_solution  # noqa: E402
 
-from jaxshell import storage  # noqa: E402
-from jaxshell.loads import EdgeForce, Gravity, History, NodalForce, NodalMoment, NormalForce, Pressure  # noqa: E402
-from jaxshell.mesh import Mesh  # noqa: E402
-from jaxshell.scene import Defaults, Initial, Scene  # noqa: E402
+from jaxshell.model.loads import EdgeForce, Gravity, History, NodalForce, NodalMoment, NormalForce, Pressure  # noqa: E402
+from jaxshell.model.mesh import Mesh  # noqa: E402
+from jaxshell.model.scene import Defaults, Initial, Scene  # noqa: E402
+from jaxshell.model.sections import Section  # noqa: E402
+from jaxshell.model.supports import Support, clamped  # noqa: E402
+from jaxshell.results import hdf5 as storage  # noqa: E402
+from jaxshell.results.solution import RESULTS, Solution  # noqa: E402
 from jaxshell.scenes import PAPER  # noqa: E402
-from jaxshell.sections import Section  # noqa: E402
-from jaxshell.solution import RESULTS, Solution  # noqa: E402
-from jaxshell.supports import Support, clamped  # noqa: E402
 
 
 @pytest.fixture

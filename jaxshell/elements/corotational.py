@@ -21,12 +21,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxshell import rotations
 from jaxshell.elements.bending import bending_stiffness
 from jaxshell.elements.membrane import membrane_stiffness
-from jaxshell.elements.products import columns_times, cross, dot, product, transposed_product
-from jaxshell.fusion import formed
-from jaxshell.sections import Resultants
+from jaxshell.model.sections import Resultants
+from jaxshell.numerics import rotations
+from jaxshell.numerics.fusion import formed
+from jaxshell.numerics.products import columns_times, cross, dot, product, transposed_product
 
 # Rows of the 9×9 membrane (u, v, θz per node) and bending (w, θx, θy per node) stiffness that are kept.
 _MEMBRANE_KEPT = np.array([3, 6, 7, 2, 5, 8])

@@ -26,11 +26,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxshell import rotations
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element, Kinematics
-from jaxshell.elements.products import cross, dot, product, scaled
-from jaxshell.fusion import formed
+from jaxshell.numerics import rotations
+from jaxshell.numerics.fusion import formed
+from jaxshell.numerics.products import cross, dot, product, scaled
 
 _NEGLIGIBLE = 1e-12
 """|Δπ|², dimensionless, below which f·Δe - f·½(G₀+G₁)Δπ = O(|Δπ|³) is lost in the rounding of e."""

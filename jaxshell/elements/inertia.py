@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxshell import rotations
-from jaxshell.elements.products import cross, dot, product
+from jaxshell.numerics import rotations
+from jaxshell.numerics.products import cross, dot, product
 
 
 def _seven_point_rule() -> tuple[np.ndarray, np.ndarray]:

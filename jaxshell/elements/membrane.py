@@ -20,7 +20,7 @@ def membrane_stiffness(xy: Float[Array, "3 2"], A: Float[Array, "3 3"], beta0: F
     Arguments:
         xy: coordinates of the corners in the plane of the element [length], counter-clockwise.
         A: membrane stiffness of the section in the axes of xy, N = A ε [force/length].
-        beta0: factor of the higher-order stiffness, see `jaxshell.sections.Resultants`.
+        beta0: factor of the higher-order stiffness, see `jaxshell.model.sections.Resultants`.
 
     Returns the symmetric stiffness of rank 6 [force/length, force, force·length]; rotations in rad.
     Source: Felippa 2003, template with αb = 3/2 and β1..9 = 1, 2, 1, 0, 1, -1, -1, -1, -2.

@@ -14,14 +14,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxshell.batching import one_by_one
-from jaxshell.contribution import Place
+from jaxshell.assembly.discretised import Acting, Model
 from jaxshell.gradients import keep
-from jaxshell.iteration import Linear, Memory, Problem
 from jaxshell.methods.predictor import extrapolate
-from jaxshell.model import Acting, Model
-from jaxshell.newton import Newton, attach_derivative
-from jaxshell.rotations import H_inverse, exp
+from jaxshell.model.contribution import Place
+from jaxshell.numerics.batching import one_by_one
+from jaxshell.numerics.rotations import H_inverse, exp
+from jaxshell.solvers.iteration import Linear, Memory, Problem
+from jaxshell.solvers.newton import Newton, attach_derivative
 
 
 class Motion(NamedTuple):
@@ -81,7 +81,7 @@ class StepInfo(NamedTuple):
     """How a step went."""
 
     result: Int[Array, ""]
-    """0 or the index of a failure, see `jaxshell.iteration`."""
+    """0 or the index of a failure, see `jaxshell.solvers.iteration`."""
     iterations: Int[Array, ""]
     factorizations: Int[Array, ""]
     correction: Float[Array, ""]

@@ -14,10 +14,10 @@ that is O(Δt²), of the order of the formula's own error, and nothing when the 
 
 import jax.numpy as jnp
 
+from jaxshell.assembly.discretised import Model
 from jaxshell.elements.inertia import GAUSS_POINTS, Spins, StepFactors
 from jaxshell.methods.base import Method, StepInfo
 from jaxshell.methods.newmark import ForceLevelMethod, Newmark, NewmarkState, step_factors
-from jaxshell.model import Model
 
 
 class BackwardFactors(StepFactors):

@@ -20,17 +20,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxshell.assembly import Tables, nodal_tables
-from jaxshell.checks import check_finite, is_concrete
-from jaxshell.compiled import compiled
+from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.tables import Tables, nodal_tables
 from jaxshell.elements import corotational
-from jaxshell.iteration import SUCCESSFUL, UNSTABLE
 from jaxshell.methods.base import Method, Observation, StepInfo
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import MovingState
-from jaxshell.model import Model, structure_of
-from jaxshell.rotations import exp
-from jaxshell.scene import Scene
+from jaxshell.model.scene import Scene
+from jaxshell.numerics.checks import check_finite, is_concrete
+from jaxshell.numerics.compiled import compiled
+from jaxshell.numerics.rotations import exp
+from jaxshell.solvers.iteration import SUCCESSFUL, UNSTABLE
 
 _EXPLOSION = 10.0
 """Unstable: energy this many times what the start and the loads have supplied. Growth is exponential then, so

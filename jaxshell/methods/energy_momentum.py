@@ -12,18 +12,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxshell.checks import check_finite, is_concrete
+from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational, energy_momentum
 from jaxshell.elements.corotational import Element
 from jaxshell.elements.energy_momentum import StepStart, edges_of, mid_matrix, spin_matrix
 from jaxshell.elements.inertia import LINEAR_MASS
-from jaxshell.elements.products import cross, dot, product, scaled
 from jaxshell.methods import predictor
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Motion, Observation
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import PredictedState
-from jaxshell.model import Model
-from jaxshell.rotations import cayley, skew
+from jaxshell.numerics.checks import check_finite, is_concrete
+from jaxshell.numerics.products import cross, dot, product, scaled
+from jaxshell.numerics.rotations import cayley, skew
 
 
 class EnergyMomentumState(PredictedState):

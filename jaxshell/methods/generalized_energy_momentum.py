@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxshell.checks import check_finite, is_concrete
+from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational, inertia
 from jaxshell.elements.corotational import Element, Kinematics
 from jaxshell.elements.inertia import Spins, StepFactors
@@ -21,7 +21,7 @@ from jaxshell.methods import predictor, seven_point, traditional
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
 from jaxshell.methods.state import PredictedState
-from jaxshell.model import Model
+from jaxshell.numerics.checks import check_finite, is_concrete
 
 
 class GEMState(PredictedState):

@@ -22,7 +22,7 @@ from typing import ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxshell.checks import check_finite, is_concrete
+from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
 from jaxshell.elements.inertia import PointStart, Spins, StepFactors
@@ -30,7 +30,7 @@ from jaxshell.methods import predictor, seven_point
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
 from jaxshell.methods.state import PredictedState
-from jaxshell.model import Model
+from jaxshell.numerics.checks import check_finite, is_concrete
 
 
 class NewmarkState(PredictedState):

@@ -9,7 +9,7 @@ frequency is not amplified, as it would be by fixed coefficients.
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxshell import rotations
+from jaxshell.numerics import rotations
 
 HISTORY = 4
 Rates = Float[Array, "4 n 6"]

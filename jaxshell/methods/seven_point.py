@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational, inertia
 from jaxshell.elements.corotational import Element
 from jaxshell.elements.inertia import (
@@ -19,10 +20,9 @@ from jaxshell.elements.inertia import (
     Spins,
     StepFactors,
 )
-from jaxshell.elements.products import dot, product, scaled
-from jaxshell.fusion import formed
-from jaxshell.model import Model
-from jaxshell.rotations import exp, log
+from jaxshell.numerics.fusion import formed
+from jaxshell.numerics.products import dot, product, scaled
+from jaxshell.numerics.rotations import exp, log
 
 # --- one element ------------------------------------------------------------------------------------------
 

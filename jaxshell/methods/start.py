@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxshell.assembly.discretised import Model
 from jaxshell.elements.inertia import LINEAR_MASS
-from jaxshell.model import Model
-from jaxshell.scene import Scene
+from jaxshell.model.scene import Scene
 
 Nodal = Float[Array, "n 3"]
 

@@ -22,12 +22,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import State
-from jaxshell.model import Model
 
 
 class StaticState(State):

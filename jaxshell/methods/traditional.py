@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxshell import rotations
+from jaxshell.assembly.discretised import Model
 from jaxshell.elements import inertia
 from jaxshell.elements.corotational import Element
 from jaxshell.elements.inertia import LINEAR_MASS, Spins, StepFactors
-from jaxshell.elements.products import dot, product
-from jaxshell.model import Model
+from jaxshell.numerics import rotations
+from jaxshell.numerics.products import dot, product
 
 
 def initial_spins(R: Float[Array, "n 3 3"], omega: Float[Array, "n 3"]) -> Spins:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from jaxshell.plotting.histories import energy_figure, momentum_figure, watched_figure
 from jaxshell.plotting.shapes import shapes_figure
 from jaxshell.plotting.style import STYLE
-from jaxshell.solution import Solution
+from jaxshell.results.solution import Solution
 
 
 def figures(solutions: Mapping[str, Solution] | Solution) -> dict[str, Figure]:

@@ -5,11 +5,11 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxshell.diagnostics import energy_balance, momentum_scales
+from jaxshell.model.scene import Scene
 from jaxshell.plotting.shapes import symmetry_planes
 from jaxshell.plotting.style import BLACK, BLUE, GREEN, PURPLE, VERMILLION, WIDTH, line, scaled, symmetry_note
-from jaxshell.scene import Scene
-from jaxshell.solution import Solution
+from jaxshell.results.diagnostics import energy_balance, momentum_scales
+from jaxshell.results.solution import Solution
 
 Runs = Mapping[str, Solution]
 

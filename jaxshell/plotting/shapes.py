@@ -9,10 +9,10 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
+from jaxshell.model.scene import Scene
+from jaxshell.model.supports import symmetry
 from jaxshell.plotting.style import WIDTH, scaled
-from jaxshell.scene import Scene
-from jaxshell.solution import Solution
-from jaxshell.supports import symmetry
+from jaxshell.results.solution import Solution
 
 COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.15, 1, 256)))
 """Perceptually uniform and monotone in grey; without its darkest end, in which edges and shades drown."""

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from jaxshell.scene import Scene
+from jaxshell.model.scene import Scene
 
 # Okabe & Ito 2008: told apart with every common colour-vision deficiency. Each goes with a dash pattern.
 BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK = (

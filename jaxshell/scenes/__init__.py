@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Callable
 
-from jaxshell.scene import Scene
+from jaxshell.model.scene import Scene
 from jaxshell.scenes.dynamic import flying_cylinder, l_shaped_plate, snapping_panel, spinning_plate
 from jaxshell.scenes.paper import free_plate, opened_cap, spherical_cap
 from jaxshell.scenes.static import (

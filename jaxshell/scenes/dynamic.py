@@ -6,12 +6,12 @@ ASSUMPTION: then compare with the papers' curves in kind, not digit by digit.
 
 import numpy as np
 
-from jaxshell import generators
-from jaxshell.loads import EdgeForce, History, NodalForce
-from jaxshell.mesh import Mesh, structured_triangles
-from jaxshell.scene import Defaults, Initial, Scene
-from jaxshell.sections import Section
-from jaxshell.supports import pinned
+from jaxshell.model import generators
+from jaxshell.model.loads import EdgeForce, History, NodalForce
+from jaxshell.model.mesh import Mesh, structured_triangles
+from jaxshell.model.scene import Defaults, Initial, Scene
+from jaxshell.model.sections import Section
+from jaxshell.model.supports import pinned
 
 
 def snapping_panel(divisions: tuple[int, int] = (8, 16), force: float = 5e7) -> Scene:

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxshell.loads import EdgeForce, History, Load, NodalForce
-from jaxshell.mesh import Mesh, structured_triangles
-from jaxshell.scene import Defaults, Scene
-from jaxshell.sections import Section
-from jaxshell.supports import Support, clamped, symmetry
+from jaxshell.model.loads import EdgeForce, History, Load, NodalForce
+from jaxshell.model.mesh import Mesh, structured_triangles
+from jaxshell.model.scene import Defaults, Scene
+from jaxshell.model.sections import Section
+from jaxshell.model.supports import Support, clamped, symmetry
 
 
 def spherical_cap(divisions: int = 10, force: float = 444.8, thickness: float = 4e-4) -> Scene:

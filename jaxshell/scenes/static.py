@@ -9,12 +9,12 @@ import math
 
 import numpy as np
 
-from jaxshell import generators
-from jaxshell.loads import EdgeForce, NodalForce, NodalMoment
-from jaxshell.mesh import Mesh, structured_triangles
-from jaxshell.scene import Scene
-from jaxshell.sections import Section
-from jaxshell.supports import Support, clamped, pinned, symmetry
+from jaxshell.model import generators
+from jaxshell.model.loads import EdgeForce, NodalForce, NodalMoment
+from jaxshell.model.mesh import Mesh, structured_triangles
+from jaxshell.model.scene import Scene
+from jaxshell.model.sections import Section
+from jaxshell.model.supports import Support, clamped, pinned, symmetry
 
 _DENSITY = 1.0
 

@@ -1,0 +1,269 @@
+"""Eigenvalue problems: natural frequencies about a given state, and linear buckling factors.
+
+    K φ = ω² M φ            K = K_Stat at the state, eq. (85): with the geometric stiffness of its stresses
+    K φ = -Λ K_σ φ          K at the stress-free shape, K_σ the geometric stiffness of the linear stresses
+
+M is the consistent mass of the paper's kinetic energy, eq. (34), linear in translations and directors:
+½∫ ρh |v|² + (ρh³/12)|ṫ|² dA. Turning about the director (drilling) has no inertia, so M is singular; the
+solver, SciPy's shift-invert Lanczos (ARPACK), needs no inverse of it.
+
+Eigenvalues are differentiated as Rayleigh quotients with the vectors held fixed, dλ = φᵀ (dK - λ dM) φ,
+which is right for simple eigenvalues. The derivative of the vectors is not offered.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.sparse as sparse
+from jaxtyping import Array, Float
+from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, splu
+
+from jaxshell.analyses.statics import proportional
+from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.sparsity import SparsityPattern
+from jaxshell.assembly.tables import Tables, analyse
+from jaxshell.elements import corotational
+from jaxshell.elements.inertia import LINEAR_MASS
+from jaxshell.model.mechanisms import check_supported, connected_parts
+from jaxshell.model.scene import Scene
+from jaxshell.numerics import rotations
+from jaxshell.numerics.checks import is_concrete, require_float64
+from jaxshell.numerics.compiled import compiled
+from jaxshell.results.solution import Solution
+from jaxshell.solvers.linear_solver import default_solver, linear_solve
+
+_RIGID = 1e-3
+"""A free shell's motion below this part of the lowest bending frequency scale is a rigid-body motion."""
+
+
+class Modes(eqx.Module):
+    """Natural frequencies and modes, lowest first."""
+
+    frequencies: Float[Array, " c"]
+    """[1/time, Hz where time is in seconds]; negative where ω² is: the state is unstable."""
+    shapes: Float[Array, "c n 6"]
+    """Nodal displacements and spins, mass-normalised: φᵀ M φ = 1. Not differentiable."""
+
+
+class BucklingModes(eqx.Module):
+    """Linear buckling factors and modes, lowest first."""
+
+    load_factors: Float[Array, " c"]
+    """Multiples of the scene's loads; infinite where fewer exist than were asked for."""
+    shapes: Float[Array, "c n 6"]
+    """Nodal displacements and spins, the largest displacement 1. Not differentiable."""
+
+
+def natural_frequencies(
+    scene: Scene, count: int = 10, about: Solution | None = None, *, rigid_modes: bool = True
+) -> Modes:
+    """Lowest natural frequencies [Hz] and their modes, small vibrations about a given state.
+
+    Arguments:
+        scene: the shell; its loads matter only as follower pressure (stiffness of the load). Differentiable in
+            its floats, for frequencies that no other frequency equals.
+        count: how many. About an unstable state those whose squares are nearest zero: growing motions that are
+            faster need a larger count to be found.
+        about: a solution, about whose last frame the shell vibrates, with its stresses; static or dynamic. None
+            is the state at the start, with the scene's initial displacements and rotations.
+        rigid_modes: whether motions as a rigid body, of frequency 0, are reported; six for a free shell.
+
+    Raises ValueError for a count out of range, RuntimeError when the iteration does not converge.
+    """
+    require_float64()
+    tables, pattern = analyse(structure_of(scene))
+    _check_count(count, pattern.size)
+    state = _initial_state(scene) if about is None else (about.displacements[-1], about.rotations[-1])
+    time = jnp.zeros(()) if about is None else about.times[-1]
+    if about is not None and about.analysis == "static":
+        scene = proportional(scene)
+    K, M, shift = _vibration_matrices(scene, tables, state, time)
+    spare = 0 if rigid_modes else 6 * connected_parts(scene.mesh.triangles, scene.mesh.n_nodes)[0]
+
+    def solve(K, M, shift):
+        asked = min(count + spare, pattern.size - 1)
+        values, vectors = _shift_invert(_symmetric(pattern, K), _symmetric(pattern, M), -float(shift), asked)
+        kept = slice(None)
+        if not rigid_modes:
+            kept = np.flatnonzero(np.abs(values) > _RIGID**2 * float(shift))
+        values, vectors = values[kept][:count], vectors[:, kept][:, :count]
+        return np.pad(vectors.T, ((0, count - len(values)), (0, 0)), constant_values=np.nan)
+
+    vectors = _on_host(solve, (count, pattern.size), K, M, shift)
+    omega_sq = _quotients(pattern, vectors, K, M)
+    safe = jnp.where(omega_sq == 0, 1.0, jnp.abs(omega_sq))
+    frequencies = jnp.where(omega_sq == 0, 0.0, jnp.sign(omega_sq) * jnp.sqrt(safe)) / (2 * jnp.pi)
+    return Modes(frequencies, _nodal(tables, vectors))
+
+
+def linear_buckling(scene: Scene, count: int = 5) -> BucklingModes:
+    """Lowest multiples of the scene's loads at which the linear stresses make the stiffness singular.
+
+    The loads and prescribed displacements act at their full value, whatever their histories; K_σ holds the
+    geometric stiffness of the linear solution and the stiffness of follower pressure. Good where the shell
+    deforms little before it buckles; else follow the path with `solve_arc_length`. Only positive factors are
+    sought: turn the loads round for the others. Differentiable like `natural_frequencies`.
+
+    Raises ValueError for a mechanism and for a count out of range.
+    """
+    require_float64()
+    check_supported(scene)
+    tables, pattern = analyse(structure_of(scene))
+    _check_count(count, pattern.size)
+    handle = default_solver().prepare(pattern)
+    K, K_sigma = _buckling_matrices(proportional(scene), tables, handle)
+
+    def solve(K, K_sigma):
+        K, K_sigma = _symmetric(pattern, K), _symmetric(pattern, K_sigma)
+        _, vectors = _lanczos(-K_sigma, k=count, M=K, Minv=_Inverse(K), which="LA")
+        return vectors.T[::-1]
+
+    vectors = _on_host(solve, (count, pattern.size), K, K_sigma)
+    reciprocal = -_quotients(pattern, vectors, K_sigma, K)
+    positive = reciprocal > 0
+    factors = jnp.where(positive, 1.0 / jnp.where(positive, reciprocal, 1.0), jnp.inf)
+    shapes = _nodal(tables, vectors)
+    return BucklingModes(factors, shapes / jnp.max(jnp.abs(shapes[:, :, :3]), axis=(1, 2), keepdims=True))
+
+
+def _initial_state(scene: Scene):
+    """Displacements and rotations at the start."""
+    n = scene.mesh.n_nodes
+    still = jnp.zeros((n, 3)), jnp.broadcast_to(jnp.eye(3), (n, 3, 3))
+    if scene.initial is None:
+        return still
+    given = scene.initial.displacements, scene.initial.rotations
+    return tuple(default if value is None else value for value, default in zip(given, still, strict=True))
+
+
+# --- matrices ---------------------------------------------------------------------------------------------
+
+
+@compiled
+def _vibration_matrices(scene: Scene, tables: Tables, state, time):
+    """Values of K and M over the free freedoms, and a scale of ω² below the bending frequencies."""
+    model = Model.build(scene, tables)
+    placed = model.x0 + state[0], state[1]
+    x, R = model.gather(placed)
+    K = jax.vmap(corotational.tangent_stiffness)(x, R, model.elements)
+    following = model.following_stiffness(*placed, time)
+    M = jax.vmap(mass_matrix)(R, model.elements)
+    elements = model.elements
+    # Plate rigidity D ~ the bending stiffness, an entry [force·length], of an element with like sides.
+    rigidity = jnp.mean(jnp.trace(elements.K_bending, axis1=1, axis2=2)) / 6.0
+    shift = rigidity / (jnp.mean(elements.mass_per_area) * model.size**4)
+    return model.assemble_matrix(K, following), model.assemble_matrix(M), shift
+
+
+@compiled
+def _buckling_matrices(scene: Scene, tables: Tables, handle):
+    """Values of K and K_σ over the free freedoms, K_σ for load factor 1."""
+    model = Model.build(scene, tables)
+    n = model.x0.shape[0]
+    at_rest = model.x0, jnp.broadcast_to(jnp.eye(3), (n, 3, 3))
+    x, R = model.gather(at_rest)
+    matrices = jax.vmap(corotational.tangent_stiffness)(x, R, model.elements)
+    held = model.held_displacement(1.0)
+    moved = model.expand(jnp.zeros(model.tables.free.shape), held).reshape(n, 6)
+    internal = model.assemble_vector(jnp.einsum("mij,mj->mi", matrices, model.gather(moved).reshape(-1, 18)))
+    loads = model.external_load(*at_rest, 1.0)
+    K = model.assemble_matrix(matrices)
+    free = linear_solve(default_solver(), handle, K, model.free(loads - internal))
+    u = model.gather(model.expand(free, held).reshape(n, 6))
+
+    def stress_stiffness(x, R, u, element):
+        kin = corotational.kinematics(x, R, element)
+        local = jnp.einsum("ij,akj->aki", kin.frame, u.reshape(3, 2, 3)).reshape(18)
+        f = corotational.stresses(corotational.deformation_gradient(kin) @ local, element)
+        return corotational.stiffness(kin, f, element, None, material=0.0)
+
+    K_sigma = jax.vmap(stress_stiffness)(x, R, u, model.elements)
+    return K, model.assemble_matrix(K_sigma, model.following_stiffness(*at_rest, 1.0))
+
+
+def mass_matrix(R: Float[Array, "3 3 3"], element: corotational.Element) -> Float[Array, "18 18"]:
+    """Consistent mass of one element turned by the nodal rotations R: eq. (34) with ṫ_a = -~t_a ω_a."""
+    mass = element.area * jnp.asarray(LINEAR_MASS)
+    turn = -jax.vmap(rotations.skew)(R @ element.frame[2])
+    translational = element.mass_per_area * mass[:, None, :, None] * jnp.eye(3)[None, :, None, :]
+    rotational = element.rotary_inertia * jnp.einsum("ab,aki,bkj->aibj", mass, turn, turn)
+    zero = jnp.zeros_like(rotational)
+    rows = [jnp.stack([translational, zero], axis=3), jnp.stack([zero, rotational], axis=3)]
+    return jnp.stack(rows, axis=1).reshape(18, 18)
+
+
+# --- eigenvalues on the host ------------------------------------------------------------------------------
+
+
+def _on_host(function, shape, *values) -> Float[Array, "c nf"]:
+    """Eigenvectors by a function of NumPy arrays, also while JAX traces; constants for its derivatives."""
+    values = jax.lax.stop_gradient(values)
+    result = jax.ShapeDtypeStruct(shape, jnp.float64)
+    if not all(is_concrete(v) for v in values):
+        found = jax.pure_callback(
+            lambda *v: np.asarray(function(*map(np.asarray, v))), result, *values, vmap_method="sequential"
+        )
+    else:
+        found = jnp.asarray(function(*map(np.asarray, values)))
+    return jax.lax.stop_gradient(found)
+
+
+def _symmetric(pattern: SparsityPattern, values: np.ndarray) -> sparse.csc_matrix:
+    """The symmetric part: K_Stat is symmetric where the state is in equilibrium."""
+    size = pattern.size
+    matrix = sparse.csr_matrix((values, pattern.indices.array, pattern.indptr.array), (size, size))
+    return (0.5 * (matrix + matrix.T)).tocsc()
+
+
+class _Inverse(LinearOperator):
+    """A⁻¹ by SuperLU."""
+
+    def __init__(self, matrix: sparse.csc_matrix):
+        super().__init__(np.float64, matrix.shape)
+        self.factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+
+    def _matvec(self, x):
+        return self.factors.solve(x)
+
+
+def _shift_invert(K, M, shift: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The `count` eigenpairs of K φ = λ M φ nearest to `shift` from above, ascending, φᵀ M φ = 1."""
+    inverse = _Inverse((K - shift * M).tocsc())
+    values, vectors = _lanczos(K, k=count, M=M, sigma=shift, OPinv=inverse, which="LM")
+    # One more step cleans the vectors of what the singular mass matrix cannot see.
+    vectors = inverse.factors.solve(M @ vectors)
+    vectors = vectors / np.sqrt(np.sum(vectors * (M @ vectors), axis=0))
+    order = np.argsort(values)
+    return values[order], vectors[:, order]
+
+
+def _lanczos(matrix, **options):
+    # A start that repeats: with ARPACK's own, equal eigenvalues come with other vectors every time.
+    start = np.random.default_rng(0).standard_normal(matrix.shape[0])
+    try:
+        return eigsh(matrix, v0=start, **options)
+    except ArpackNoConvergence as error:
+        found = len(error.eigenvalues)
+        raise RuntimeError(f"Only {found} of {options['k']} eigenvalues converged; ask for fewer.") from error
+
+
+def _quotients(pattern: SparsityPattern, vectors, upper, lower) -> Float[Array, " c"]:
+    """Rayleigh quotients φᵀ A φ / φᵀ B φ of sparse values A (`upper`) and B (`lower`)."""
+    with jax.ensure_compile_time_eval():
+        rows, columns = jnp.asarray(pattern.rows), jnp.asarray(pattern.indices.array)
+
+    def form(values):
+        return jnp.sum(vectors[:, rows] * values * vectors[:, columns], axis=1)
+
+    return form(upper) / form(lower)
+
+
+def _nodal(tables: Tables, vectors) -> Float[Array, "c n 6"]:
+    held = jnp.zeros((vectors.shape[0], tables.held.shape[0]))
+    return jnp.concatenate([vectors, held], axis=1)[:, tables.place].reshape(vectors.shape[0], -1, 6)
+
+
+def _check_count(count, size: int) -> None:
+    if not isinstance(count, int | np.integer) or not 1 <= count < size - 1:
+        raise ValueError(f"count must be a whole number from 1 to {size - 2}, but it is {count!r}.")

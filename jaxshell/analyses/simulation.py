@@ -1,0 +1,251 @@
+"""Dynamic runs: `simulate` compiles one program of many steps and drives it chunk by chunk.
+
+Inside the program a `lax.scan` runs over frames and steps, with Newton's `lax.while_loop` inside; the host sees
+a chunk's histories only, shows progress and hands them to the file. When `simulate` is itself being traced
+(by `jax.grad`, `jax.vmap`, `jax.jit`) the whole run is one program.
+"""
+
+import dataclasses
+import time
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxshell.analyses import program
+from jaxshell.analyses.driver import (
+    Log,
+    Setup,
+    SimulationError,
+    check_options,
+    check_untraced,
+    floats_to_arrays,
+    is_traced,
+    result_of,
+    resumed,
+    run_traced,
+    set_up,
+    single,
+)
+from jaxshell.analyses.program import Carry, Frame, Plan, Record
+from jaxshell.analyses.progress import Progress
+from jaxshell.analyses.step_control import StepControl
+from jaxshell.files.quoted import quote
+from jaxshell.gradients import Gradients, Stored
+from jaxshell.methods.base import Method
+from jaxshell.model.scene import Scene
+from jaxshell.numerics.checks import check_positive, is_concrete, require_float64
+from jaxshell.results.solution import RESULTS, Solution
+from jaxshell.solvers.iteration import SUCCESSFUL
+from jaxshell.solvers.linear_solver import LinearSolver
+from jaxshell.solvers.newton import Newton
+
+_CHUNK_STEPS = 50
+"""Steps between two looks of the host: often enough for a progress bar, seldom enough to cost nothing."""
+
+
+_STOPS = 128
+"""Under step control, room for so many output times and kinks at a time."""
+
+
+def simulate(
+    scene: Scene,
+    method: Method,
+    *,
+    dt,
+    t_end=None,
+    save_every: int = 1,
+    reactions: bool = False,
+    tangent: str = "closed_form",
+    newton: Newton | None = None,
+    linear_solver: LinearSolver | None = None,
+    gradients: Gradients | None = None,
+    throw: bool = True,
+    progress: bool = False,
+    output=None,
+    restart: Solution | None = None,
+) -> Solution:
+    """Run a scene in time.
+
+    Arguments:
+        scene: what to run. Differentiable in its floats.
+        method: the time integrator, e.g. `GeneralizedEnergyMomentum()`.
+        dt: step size [time], or an array of step sizes (then t_end may be left out), or a `StepControl`. A run
+            whose length is no multiple of dt ends with a shorter step.
+        t_end: duration of the run [time], counted from the start (or from the end of `restart`).
+        save_every: steps between frames (displacements, rotations, velocities of all nodes); histories are
+            kept at every step.
+        reactions: record what the supports carry in every step, for `jaxshell.reactions`; a residual more a step.
+        tangent: "closed_form" or "autodiff" (`jax.jacfwd` of the element residual); the same run.
+        newton: tolerances and limits of the iteration, see `Newton`.
+        linear_solver: `Pardiso()`, `KLU()`, `Dense()`; None chooses for this machine.
+        gradients: what reverse mode keeps of the run: `jaxshell.gradients.Stored()` (the default) the state of
+            every step, `Checkpointed(...)` fewer. Without effect on a run that is not differentiated.
+        throw: raise `SimulationError` when the run fails (it carries the solution so far); otherwise the
+            solution's `result` and `message` say so. A run traced by JAX raises while the compiled program
+            runs; with throw=False everything after the failure is NaN, gradients included.
+        progress: show a progress bar.
+        output: path of an HDF5 file that receives the results as they come; or an `Output`, or several of them.
+        restart: a solution of the same scene and method to go on from, also one read from a file.
+
+    Returns a `Solution`. Raises ValueError for bad input and RuntimeError when float64 is off, both before
+    anything is compiled.
+    """
+    require_float64()
+    newton = Newton() if newton is None else newton
+    check_options(scene, method, save_every, tangent, newton)
+    steps = _controlled(scene, method, dt, t_end) if isinstance(dt, StepControl) else _step_sizes(dt, t_end)
+    method.check(scene, np.asarray([dt.initial]) if isinstance(dt, StepControl) else steps)
+    traced = is_traced(scene, method, newton, steps)
+    setup = set_up(
+        scene,
+        method,
+        newton,
+        linear_solver=linear_solver,
+        tangent=tangent,
+        save_every=save_every,
+        reactions=reactions,
+        differentiated=traced,
+    )
+    if traced:
+        check_untraced(output, progress)
+        if isinstance(steps, Controlled):
+            raise ValueError(
+                "A run under StepControl cannot be traced by jax.grad, jax.vmap or jax.jit, since its number of "
+                "steps is not known. Run it once, then trace simulate(..., dt=solution.step_sizes)."
+            )
+        return run_traced(setup, steps, Stored() if gradients is None else gradients, throw, restart=restart)
+    duration = steps.stops[-1] if isinstance(steps, Controlled) else np.sum(steps)
+    with Progress(float(duration), enabled=progress) as bar:
+        solution = _driven_run(setup, steps, output, bar, restart)
+    if throw and solution.message:
+        raise SimulationError(solution.message, solution)
+    return solution
+
+
+class Controlled(NamedTuple):
+    """A run under step control: when frames are wanted and where steps land, from the run's start."""
+
+    control: StepControl
+    outputs: np.ndarray
+    stops: np.ndarray
+
+
+class Chunk(NamedTuple):
+    """Some steps of a run."""
+
+    carry: Carry
+    record: Record
+    frame: Frame
+    dt: Any
+    """The size of the step that failed, or that comes next."""
+    counts: dict[str, int]
+    """Steps accepted and rejected until then, under step control."""
+
+
+def _driven_run(setup: Setup, steps, output, bar, restart) -> Solution:
+    begun, first_chunk = time.perf_counter(), 0.0
+    model, carry, record, frame = setup.prepare()
+    carry, record, frame, start = resumed(model, setup.plan, carry, record, frame, restart)
+    controlled = isinstance(steps, Controlled)
+    chunks = (_controlled_chunks if controlled else _fixed_chunks)(setup.plan, model, carry, steps, start)
+    settings = {
+        "dt": quote(steps.control) if controlled else float(steps[0]),
+        "t_end": float(start + (steps.stops[-1] if controlled else np.sum(steps))),
+    }
+    bar.start = start
+    log = Log(setup.scene, setup.plan, output, settings)
+    log.begun = begun
+    with log:
+        log.append(single(record), single(frame), carry.state)
+        chunk = Chunk(carry, record, frame, 0.0, {})
+        for chunk in chunks:
+            log.append(chunk.record, chunk.frame, chunk.carry.state)
+            first_chunk = first_chunk or time.perf_counter() - begun
+            bar.advance(chunk.record)
+        code = int(chunk.carry.result)
+        message = _message(code, log.steps + 1, log.latest_time, chunk.dt)
+        return log.finish(chunk.carry.state, code, message, **chunk.counts, first_chunk_time=first_chunk)
+
+
+def _fixed_chunks(plan: Plan, model, carry, steps, start):
+    """Run given step sizes, chunk by chunk."""
+    save_every = plan.save_every
+    frames = max(1, _CHUNK_STEPS // save_every)  # of any run, so that its length compiles nothing anew
+    size, ends, taken = frames * save_every, start + np.cumsum(steps), 0
+    for at in range(0, len(steps), size):
+        fill = size - len(steps[at : at + size])
+        pairs = [np.pad(a[at : at + size], (0, fill)).reshape(frames, save_every) for a in (steps, ends)]
+        carry, *found = program.run(model, plan, carry, tuple(pairs))
+        record, frame = jax.tree.map(np.asarray, tuple(found))
+        done = record.done
+        # Frames none of whose steps was taken repeat the last state.
+        fresh = done.reshape(frames, save_every).any(axis=1)
+        taken += int(done.sum())
+        yield Chunk(carry, _select(record, done), _select(frame, fresh), steps[min(taken, len(steps) - 1)], {})
+        if int(carry.result) != SUCCESSFUL:
+            return
+
+
+def _controlled_chunks(plan: Plan, model, carry, steps: Controlled, start):
+    """Run under step control, chunk by chunk, with a frame at every output time."""
+    # Where the run lands is traced, its number of stops in blocks: other outputs compile nothing anew.
+    control = dataclasses.replace(steps.control, output_interval=None)
+    outputs, stops = (start + times for times in (steps.outputs, steps.stops))
+    stops = np.pad(stops, (0, -len(stops) % _STOPS), mode="edge")
+    attempts = program.Attempts(carry, control.start(start))
+    while float(attempts.control.time) < stops[-1] and int(attempts.carry.result) == SUCCESSFUL:
+        attempts, found = program.try_steps(model, plan, control, attempts, stops, jnp.zeros(_CHUNK_STEPS))
+        record, frame = jax.tree.map(np.asarray, found)
+        shown = record.done & np.isin(record.time, outputs)
+        counts = {name: int(getattr(attempts.control, name)) for name in ("accepted", "rejected")}
+        yield Chunk(attempts.carry, _select(record, record.done), _select(frame, shown), attempts.control.dt, counts)
+
+
+def _select(tree, which):
+    return jax.tree.map(lambda a: a[which], tree)
+
+
+def _message(code: int, step: int, at, dt) -> str:
+    if code == SUCCESSFUL:
+        return ""
+    return f"Step {step}, from t = {at:.6g} with dt = {float(dt):.3g}: {RESULTS[result_of(code)]}"
+
+
+def _controlled(scene: Scene, method: Method, control: StepControl, t_end) -> Controlled:
+    if not method.controls_step:
+        raise ValueError(
+            f"{type(method).__name__} takes equal steps, which its stability limits and not its error: StepControl has "
+            "nothing to choose. Pass a number, e.g. dt=method.critical_step(scene)."
+        )
+    if t_end is None:
+        raise ValueError("t_end, the duration of the run, is missing.")
+    check_positive("t_end", t_end)
+    interval = t_end / 100 if control.output_interval is None else control.output_interval
+    outputs = np.append(np.arange(interval, t_end * (1 - 1e-9), interval), t_end)
+    histories = [item.history for item in (*scene.loads, *scene.supports) if item.history is not None]
+    kinks = np.concatenate([np.zeros(0), *(np.asarray(h.times) for h in histories if is_concrete(h.times))])
+    stops = np.unique(np.concatenate([outputs, kinks[(kinks > 0) & (kinks < t_end)]]))
+    # Times that differ by round-off only are one.
+    return Controlled(floats_to_arrays(control), outputs, stops[np.append(np.diff(stops) > 1e-9 * t_end, True)])
+
+
+def _step_sizes(dt, t_end):
+    dt = np.asarray(dt, float) if isinstance(dt, list | tuple) else dt
+    check_positive("dt", dt)
+    if np.ndim(dt) == 1:
+        if t_end is not None:
+            raise ValueError("With an array of step sizes t_end follows from it: leave t_end out.")
+        return dt if not is_concrete(dt) else np.asarray(dt, float)
+    if t_end is None:
+        raise ValueError("t_end, the duration of the run, is missing.")
+    if not (is_concrete(dt) and is_concrete(t_end)):
+        raise ValueError("The number of steps must be known: pass an array of step sizes to trace dt or t_end.")
+    check_positive("t_end", t_end)
+    count = max(1, int(np.ceil(float(t_end) / float(dt) * (1 - 1e-10))))
+    steps = np.full(count, float(dt))
+    steps[-1] = float(t_end) - (count - 1) * float(dt)
+    if abs(steps[-1] - float(dt)) < 1e-9 * float(dt):
+        steps[-1] = float(dt)
+    return steps

@@ -1,0 +1,1 @@
+"""From elements to the structure: tables, sparsity, and the discretised model."""

@@ -1,0 +1,185 @@
+"""The model: a scene turned into arrays (elements, loads, supports, tables), built inside the compiled program."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxshell.assembly.tables import Structure, Tables
+from jaxshell.elements import corotational
+from jaxshell.elements.corotational import Element
+from jaxshell.model.contribution import Contribution, Place, Surface
+from jaxshell.model.history import History
+from jaxshell.model.loads import DeadLoad
+from jaxshell.model.scene import Scene
+from jaxshell.model.supports import Support
+from jaxshell.numerics.frozen import Frozen
+from jaxshell.numerics.fusion import formed
+
+
+class Acting(eqx.Module):
+    """A contribution with the nodes that it acts on and what it prepared."""
+
+    contribution: Contribution
+    data: Any
+    nodes: Int[Array, "k c"]
+    entries: Int[Array, " e"] | None
+    """Of its matrices, entry by entry: its place in the sparse matrix; None where there is none."""
+    on_elements: bool = eqx.field(static=True)
+    """Its groups are the elements' corners: it is summed with them."""
+
+    def places(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Place:
+        """Its groups, each leaf with a leading axis k."""
+        times = jnp.broadcast_to(time, self.nodes.shape[:1])
+        return Place(x[self.nodes], R[self.nodes], times)
+
+    def forces(self, place: Place) -> Float[Array, "k c 6"]:
+        return jax.vmap(self.contribution.force)(self.data, place)
+
+    def stiffness(self, place: Place) -> Float[Array, "k 6*c 6*c"]:
+        return jax.vmap(self.contribution.stiffness)(self.data, place)
+
+    def mean_forces(self, start: Place, end: Place) -> Float[Array, "k c 6"]:
+        return jax.vmap(self.contribution.mean_force)(self.data, start, end)
+
+    def mean_stiffness(self, start: Place, end: Place) -> Float[Array, "k 6*c 6*c"]:
+        return jax.vmap(self.contribution.mean_stiffness)(self.data, start, end)
+
+
+class Model(eqx.Module):
+    """A scene as arrays: what the methods compute with. Differentiable in every float of the scene."""
+
+    x0: Float[Array, "n 3"]
+    elements: Element
+    """Each field with a leading axis over the m elements."""
+    dead_loads: tuple[tuple[Float[Array, "n 6"], History], ...]
+    contributions: tuple[Acting, ...]
+    moving: tuple[Support, ...]
+    """The supports with a prescribed motion."""
+    size: Float[Array, ""]
+    """The shell's size, the diagonal of its bounding box [length]: the scale of convergence."""
+    tables: Tables
+
+    @classmethod
+    def build(cls, scene: Scene, tables: Tables) -> "Model":
+        """The model of a scene; `tables` are of its `structure_of`."""
+        x0 = scene.mesh.nodes
+        elements = jax.vmap(Element.build)(x0[tables.triangles], scene.section.resultants(scene.mesh))
+        dead = tuple(
+            (load.nodal(x0, tables.triangles, elements.mass_per_area), load.history)
+            for load in scene.loads
+            if isinstance(load, DeadLoad)
+        )
+        surface = Surface(x0, tables.triangles, elements.mass_per_area, elements.area, elements.frame[:, 2])
+        moving = tuple(support for support in scene.supports if support.displacement is not None)
+        size = jnp.linalg.norm(jnp.max(x0, axis=0) - jnp.min(x0, axis=0))
+        return cls(x0, elements, dead, _acting(scene, tables, surface), moving, size, tables)
+
+    def gather(self, nodal):
+        """(n, ...) nodal values → (m, 3, ...) at the elements' corners; for every leaf of a pytree."""
+        return jax.tree.map(lambda values: values[self.tables.triangles], nodal)
+
+    def assemble_vector(self, corner: Float[Array, "m 18"]) -> Float[Array, "n 6"]:
+        """Sum of element vectors over the nodes."""
+        return self.tables.nodal(corner.reshape(-1, 6))
+
+    def assemble_matrix(self, matrices: Float[Array, "m 18 18"], others=()) -> Float[Array, " nnz"]:
+        """Values of the sparse matrix over the free degrees of freedom.
+
+        `others` are (acting, its matrices (k, 6c, 6c)) of contributions.
+        """
+        for acting, blocks in others:
+            if acting.on_elements:
+                matrices = matrices + blocks
+        values = self.tables.matrix(formed(matrices).reshape(-1))
+        if self.tables.own is not None:
+            values = jnp.append(values, 0.0)[self.tables.own]
+        for acting, blocks in others:
+            if not acting.on_elements:
+                values = values.at[acting.entries].add(blocks.reshape(-1), mode="drop")
+        return values
+
+    def sum_over_nodes(self, acting: Acting, forces: Float[Array, "k c 6"]) -> Float[Array, "n 6"]:
+        """Forces of a contribution's groups summed over the nodes."""
+        if acting.on_elements:
+            return self.assemble_vector(forces)
+        return jnp.zeros((self.x0.shape[0], 6)).at[acting.nodes].add(forces)
+
+    def free(self, nodal: Float[Array, "n 6"]) -> Float[Array, " nf"]:
+        """The entries of a nodal vector at the free degrees of freedom."""
+        return nodal.reshape(-1)[self.tables.free]
+
+    def expand(self, free: Float[Array, " nf"], held: Float[Array, " nh"]) -> Float[Array, "n 6"]:
+        """The nodal vector with the given entries at free and held degrees of freedom."""
+        return jnp.concatenate([free, held])[self.tables.place].reshape(-1, 6)
+
+    def held_displacement(self, time) -> Float[Array, " nh"]:
+        """Displacements of the held degrees of freedom at `time`; zero where nothing is prescribed."""
+        values = jnp.zeros(self.x0.shape[0] * 6)
+        for support in self.moving:
+            values = values.at[support.dof_numbers].set(support.values(time))
+        return values[self.tables.held]
+
+    def held_increment(self, time, dt) -> Float[Array, " nh"]:
+        """Increments of the held degrees of freedom in the step from `time`."""
+        return self.held_displacement(time + dt) - self.held_displacement(time)
+
+    def dead_load(self, time) -> Float[Array, "n 6"]:
+        """Nodal forces and moments of all loads with a fixed direction at `time`."""
+        total = jnp.zeros((self.x0.shape[0], 6))
+        for pattern, history in self.dead_loads:
+            total = total + history(time) * pattern
+        return total
+
+    def following_load(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, "n 6"]:
+        """Nodal forces and moments of all contributions at positions x and rotations R."""
+        total = jnp.zeros((self.x0.shape[0], 6))
+        for acting in self.contributions:
+            total = total + self.sum_over_nodes(acting, acting.forces(acting.places(x, R, time)))
+        return total
+
+    def external_load(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, "n 6"]:
+        """All loads at `time`."""
+        load = self.dead_load(time)
+        return load + self.following_load(x, R, time) if self.contributions else load
+
+    def following_stiffness(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time):
+        """Derivative of `following_load` by displacements and spins, for `assemble_matrix`, and negative, as it stands
+        in the stiffness."""
+        return [(acting, -acting.stiffness(acting.places(x, R, time))) for acting in self.contributions]
+
+    def strain_energy(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"]) -> Float[Array, ""]:
+        """Strain energy of the shell, eq. (61) summed over the elements."""
+
+        def one(x, R, element):
+            return corotational.strain_energy(corotational.kinematics(x, R, element).deformations, element)
+
+        return jnp.sum(jax.vmap(one)(self.gather(x), self.gather(R), self.elements))
+
+    def internal_force(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"]) -> Float[Array, "n 6"]:
+        """Nodal internal forces and moments, eq. (70) assembled."""
+        return self.assemble_vector(
+            jax.vmap(corotational.internal_force)(self.gather(x), self.gather(R), self.elements)
+        )
+
+
+def structure_of(scene: Scene) -> Structure:
+    """The static part of a scene that the sparsity depends on."""
+    groups = tuple(nodes for nodes in _groups(scene) if nodes != scene.mesh.connectivity)
+    return Structure(scene.mesh.connectivity, scene.mesh.n_nodes, scene.held, groups)
+
+
+def _groups(scene: Scene) -> list[Frozen]:
+    return [contribution.groups(scene.mesh.triangles) for contribution in scene.contributions]
+
+
+def _acting(scene: Scene, tables: Tables, surface: Surface) -> tuple[Acting, ...]:
+    """The scene's contributions; groups that are not the elements' own follow each other in the tables."""
+    found, others = [], iter(zip(tables.groups, tables.entries or (None,) * len(tables.groups), strict=True))
+    for contribution, nodes in zip(scene.contributions, _groups(scene), strict=True):
+        own = nodes == scene.mesh.connectivity
+        indices, entries = (tables.triangles, None) if own else next(others)
+        found.append(Acting(contribution, contribution.data(surface), indices, entries, own))
+    return tuple(found)

@@ -1,0 +1,160 @@
+"""From elements to the structure: gather tables made once, and sums that need no scatter.
+
+Each entry of the global residual or matrix is a sum over a few element entries. Their positions are known, so
+the sum is a handful of gathers over targets sorted by their number of contributions: contiguous, vectorised,
+deterministic, and without the write conflicts that make scatters slow.
+"""
+
+import dataclasses
+import functools
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxshell.assembly.sparsity import SparsityPattern
+from jaxshell.numerics.checks import index_array
+from jaxshell.numerics.frozen import Frozen
+
+_GATHERED = 8
+"""Contributions per target summed by gathers; the rest, at hubs of a mesh only, by a scatter."""
+
+
+class GatherSum(eqx.Module):
+    """Sums of entries: `target[i] = Σ source[k]` over the k that belong to i."""
+
+    layers: tuple[Int[Array, " k"], ...]
+    """Layer j: the j-th contribution of those targets that have one, targets in descending order of count."""
+    order: Int[Array, " size"]
+    """Position of each target in that order."""
+    extra: tuple[Int[Array, " e"], Int[Array, " e"]] | None
+    """(source, target position) beyond the gathered layers."""
+
+    @classmethod
+    def build(cls, targets: np.ndarray, sources: np.ndarray, size: int) -> "GatherSum":
+        """From pairs (target, source); every target in range(size) needs at least one source."""
+        by_target = np.argsort(targets, kind="stable")
+        targets, sources = targets[by_target], sources[by_target]
+        count = np.bincount(targets, minlength=size)
+        if size and count.min() == 0:
+            raise ValueError(f"Entry {int(np.argmin(count))} of the assembly has no contribution.")
+        rank = np.arange(targets.size) - np.repeat(np.cumsum(count) - count, count)
+        descending = np.argsort(-count, kind="stable")
+        order = np.empty(size, np.int64)
+        order[descending] = np.arange(size)
+        layers, position = [], order[targets]
+        for j in range(min(_GATHERED, int(count.max(initial=0)))):
+            chosen = rank == j
+            layer = np.empty(chosen.sum(), np.int64)
+            layer[position[chosen]] = sources[chosen]
+            layers.append(index_array(layer))
+        beyond = rank >= _GATHERED
+        extra = (index_array(sources[beyond]), index_array(position[beyond])) if beyond.any() else None
+        return cls(tuple(layers), index_array(order), extra)
+
+    def __call__(self, source: Float[Array, "s *rest"]) -> Float[Array, "size *rest"]:
+        total = source[self.layers[0]]
+        for layer in self.layers[1:]:
+            head = total[: layer.shape[0]] + source[layer]
+            total = jax.lax.dynamic_update_slice_in_dim(total, head, 0, axis=0)
+        if self.extra is not None:
+            total = total.at[self.extra[1]].add(source[self.extra[0]])
+        return total[self.order]
+
+
+class Tables(eqx.Module):
+    """Index arrays of one structure (connectivity and held freedoms), passed to compiled programs as arguments."""
+
+    triangles: Int[Array, "m 3"]
+    nodal: GatherSum
+    """(m·3, ...) element corners → (n, ...) nodes."""
+    matrix: GatherSum
+    """(m·324,) element matrix entries → values of the sparse matrix over the free freedoms; empty without one."""
+    free: Int[Array, " nf"]
+    """Numbers 6·node + dof of the free freedoms."""
+    held: Int[Array, " nh"]
+    place: Int[Array, " n6"]
+    """Where each degree of freedom stands in [free, held]."""
+    groups: tuple[Int[Array, "k c"], ...] = ()
+    """Nodes of the contributions' groups, other than the elements' own."""
+    entries: tuple[Int[Array, " e"], ...] = ()
+    """Of the groups' matrices, entry by entry: its place in the sparse matrix; beyond its end where it has none."""
+    own: Int[Array, " nnz"] | None = None
+    """Of every entry of the sparse matrix, its place in `matrix`, one past the end where only groups have it; None
+    where `matrix` is the sparse matrix."""
+
+
+class Structure(NamedTuple):
+    """Static: what the sparsity depends on."""
+
+    triangles: Frozen
+    n_nodes: int
+    held: Frozen
+    groups: tuple[Frozen, ...] = ()
+    """(k, c) nodes of the contributions' groups, other than the elements' own."""
+
+
+@functools.lru_cache(maxsize=32)
+def analyse(structure: Structure) -> tuple[Tables, SparsityPattern]:
+    """Tables and sparsity pattern of a structure; done once, kept for later runs of the same structure."""
+    triangles, free = structure.triangles.array, _free_dofs(structure)
+    number = np.full(6 * structure.n_nodes, -1)
+    number[free] = np.arange(free.size)
+    own, sources = _keys(triangles, number, free.size)
+    others = [_keys(group.array, number, free.size) for group in structure.groups]
+    mine, targets = np.unique(own[sources], return_inverse=True)
+    entries = np.unique(np.concatenate([mine, *(keys[kept] for keys, kept in others)])) if others else mine
+    indptr = np.concatenate([[0], np.cumsum(np.bincount(entries // free.size, minlength=free.size))])
+    pattern = SparsityPattern(free.size, Frozen(indptr), Frozen(entries % free.size))
+    with jax.ensure_compile_time_eval():
+        matrix = GatherSum.build(targets.ravel(), sources, mine.size)
+        own_places = np.full(entries.size, mine.size)
+        own_places[np.searchsorted(entries, mine)] = np.arange(mine.size)
+        spread = None if entries.size == mine.size else index_array(own_places)
+        places = tuple(
+            index_array(np.where(keys >= 0, np.searchsorted(entries, keys), entries.size)) for keys, _ in others
+        )
+    tables = nodal_tables(structure)
+    return dataclasses.replace(tables, matrix=matrix, entries=places, own=spread), pattern
+
+
+def _keys(nodes: np.ndarray, number: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """row·size + column of every entry of the matrices of groups (k, c), negative where it is of a held one; and the
+    positions of those that are not."""
+    dofs = number[(6 * nodes[:, :, None] + np.arange(6)).reshape(len(nodes), -1)]
+    width = dofs.shape[1]
+    rows = np.repeat(dofs, width, axis=1).ravel()
+    columns = np.tile(dofs, (1, width)).ravel()
+    free = (rows >= 0) & (columns >= 0)
+    return np.where(free, rows.astype(np.int64) * size + columns, -1), np.flatnonzero(free)
+
+
+@functools.lru_cache(maxsize=32)
+def nodal_tables(structure: Structure) -> Tables:
+    """Tables of a structure without those of the matrix, which an explicit method has no use for."""
+    triangles, held, free = structure.triangles.array, structure.held.array, _free_dofs(structure)
+    place = np.empty(6 * structure.n_nodes, np.int64)
+    place[free], place[held] = np.arange(free.size), free.size + np.arange(held.size)
+    # Concrete also while an outer transformation traces: tables are data, never part of the traced program.
+    with jax.ensure_compile_time_eval():
+        corners = triangles.ravel()
+        return Tables(
+            index_array(triangles),
+            GatherSum.build(corners, np.arange(corners.size), structure.n_nodes),
+            GatherSum((), index_array(np.zeros(0)), None),
+            index_array(free),
+            index_array(held),
+            index_array(place),
+            tuple(index_array(group.array) for group in structure.groups),
+        )
+
+
+def _free_dofs(structure: Structure) -> np.ndarray:
+    is_free = np.ones(6 * structure.n_nodes, bool)
+    is_free[structure.held.array] = False
+    free = np.flatnonzero(is_free)
+    if free.size == 0:
+        raise ValueError("Every freedom is held by a support: there is nothing to compute.")
+    return free

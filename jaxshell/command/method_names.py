@@ -1,0 +1,94 @@
+"""Short names of time integrators, as the command line, scene files and legends use them.
+
+EMC, EDMC1 and EDMC2 are the paper's (Yang & Xia 2014, section VI): `GeneralizedEnergyMomentum` with the
+spectral radius ρ∞ and dissipation ξ that the scene gives them; "exact" is `EnergyMomentum`. Every other
+method goes by its class's name.
+"""
+
+import inspect
+from collections.abc import Sequence
+from typing import Any
+
+from jaxshell import methods
+from jaxshell.files.quoted import unquote
+from jaxshell.model.scene import Scene
+
+_PAPER_CLASS: Any = methods.GeneralizedEnergyMomentum
+_PAPER = (("EMC", 1.0, 0.0), ("EDMC1", 0.8, 0.0), ("EDMC2", 1.0, 0.05))
+"""(name, ρ∞, ξ) where a scene does not say otherwise: those of the paper's first scene."""
+
+
+def choose_methods(
+    scene: Scene, names: Sequence[str], spectral_radius: float | None, dissipation: float | None
+) -> dict[str, Any]:
+    """{label: method} for names such as ["EMC", "exact"], or ["all"] for all of the paper's.
+
+    No name is the scene's first. `spectral_radius` and `dissipation` replace the name's own, for one method.
+    Raises ValueError for an unknown name, and for parameters given to several methods.
+    """
+    named, classes = _named(scene), _classes()
+    wanted = [name.lower() for name in names] or [next(iter(named))]
+    if "all" in wanted:
+        wanted = list(named)
+    wanted = list(dict.fromkeys(wanted))
+    for name in wanted:
+        if name not in named and name not in classes:
+            others = [other for other in classes if classes[other] is not _PAPER_CLASS]
+            choices = [label for label, _, _ in named.values()] + others + ["all"]
+            raise ValueError(f"There is no method {name!r}. Choose out of {', '.join(choices)}.")
+    given = {"spectral_radius": spectral_radius, "dissipation": dissipation}
+    given = {key: value for key, value in given.items() if value is not None}
+    if len(wanted) > 1 and given:
+        raise ValueError("A spectral radius or dissipation can be given for one method at a time.")
+    found = {}
+    for name in wanted:
+        if name in named:
+            _, radius, xi = named[name]
+            kind, parameters = _PAPER_CLASS, {"spectral_radius": radius, "dissipation": xi}
+        else:
+            kind, parameters = classes[name], {}
+        for key in given:
+            if key not in kind.__dataclass_fields__:
+                raise ValueError(f"The method {name!r} has no {key}.")
+        method = kind(**parameters | given)
+        found[method_label(method, scene)] = method
+    return found
+
+
+def method_label(method: methods.Method, scene: Scene) -> str:
+    """The short name of a method in a scene, or its class with the parameters that matter."""
+    kind = type(method).__name__
+    xi = float(getattr(method, "dissipation", 0.0))
+    if kind == "EnergyMomentum":
+        return f"exact, ξ = {xi:g}" if xi else "exact"
+    if kind != "GeneralizedEnergyMomentum":
+        return kind
+    radius = float(getattr(method, "spectral_radius", 1.0))
+    for label, *parameters in _named(scene).values():
+        if parameters == [radius, xi]:
+            return label
+    return f"EDMC, ρ∞ = {radius:g}, ξ = {xi:g}"
+
+
+def parse_method(text: str) -> methods.Method:
+    """The method that a file quotes, such as "GeneralizedEnergyMomentum(spectral_radius=1.0, ...)".
+
+    Raises ValueError for anything else.
+    """
+    return unquote(text, {method.__name__: method for method in _classes().values()})
+
+
+def _named(scene: Scene) -> dict[str, tuple[str, float, float]]:
+    """{lower-case name: (label, ρ∞, ξ)}, the scene's own first."""
+    own = scene.defaults.methods if scene.defaults is not None else ()
+    named = {label.lower(): (label, float(radius), float(xi)) for label, radius, xi in own}
+    return named | {label.lower(): (label, r, xi) for label, r, xi in _PAPER if label.lower() not in named}
+
+
+def _classes() -> dict[str, Any]:
+    """{lower-case name: class} of the methods that can be made."""
+    found = [getattr(methods, name) for name in methods.__all__]
+    classes = {kind.__name__.lower(): kind for kind in found if not inspect.isabstract(kind)}
+    if "energymomentum" in classes:
+        classes["exact"] = classes.pop("energymomentum")
+    return classes

@@ -1,0 +1,60 @@
+"""A run in a few lines of text: what was run, how long it took, what its energy and momentum did."""
+
+from pathlib import Path
+
+import numpy as np
+
+from jaxshell.model.scene import Scene
+from jaxshell.results.diagnostics import energy_balance, loads_end, momentum_scales
+from jaxshell.results.solution import Solution
+
+
+def describe_scene(scene: Scene) -> str:
+    """One line: the scene's name and size."""
+    free = 6 * scene.mesh.n_nodes - len(scene.held_dofs)
+    return f"{scene.name}: {scene.mesh.n_elements} triangles, {scene.mesh.n_nodes} nodes, {free} unknowns"
+
+
+def describe_run(label: str, run: Solution, path: Path) -> str:
+    """Steps, time, drift of energy and of a free shell's momentum, extremes of what is watched, the file."""
+    times = np.asarray(run.times)
+    steps = len(times) - 1
+    lines = [f"{label}: {steps} steps to t = {times[-1]:.6g}"]
+    if "wall_time" in run.stats:
+        lines[0] += f" in {run.stats['wall_time']:.1f} s"
+    if steps:
+        lines[0] += f", {np.asarray(run.iterations)[1:].mean():.2f} Newton iterations a step"
+        lines += _energy(run) + _momentum(run)
+    for name, values in run.watched.items():
+        values = np.asarray(values)
+        low, high = int(values.argmin()), int(values.argmax())
+        least, most = (f"{values[i]:.6g} at t = {times[i]:.6g}" for i in (low, high))
+        lines.append(f"  {name}: {least} to {most}")
+    lines.append(f"  {path} ({path.stat().st_size / 1e6:.1f} MB)")
+    return "\n".join(lines)
+
+
+def _energy(run: Solution) -> list[str]:
+    balance = energy_balance(run)
+    worst = balance[np.argmax(np.abs(balance))]
+    return [f"  energy: K + S - W changes by {worst:.1e} of the largest K + S, {balance[-1]:.1e} at the end"]
+
+
+def _momentum(run: Solution) -> list[str]:
+    """Drift of the momenta of a shell without supports, once its loads have ended."""
+    if run.scene.supports:
+        return []
+    after = loads_end(run.scene)
+    late = np.asarray(run.times) >= after * (1 + 1e-12)
+    if late.sum() < 2:
+        return []
+    drifts = []
+    for name, scale in zip(("linear", "angular"), momentum_scales(run), strict=True):
+        values = np.asarray(getattr(run.momentum, name))[late]
+        drift = np.linalg.norm(values - values[0], axis=1).max()
+        drifts.append(drift / scale if scale > 0 else 0.0)
+    since = f" after the loads (t = {after:.6g})" if after > 0 else ""
+    return [
+        f"  momentum{since} changes by linear {drifts[0]:.1e} of √(2 M K), angular {drifts[1]:.1e} of that times "
+        "the shell's size"
+    ]

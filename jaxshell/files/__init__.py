@@ -1,0 +1,1 @@
+"""Scene files, and how objects are quoted in files."""

@@ -1,0 +1,277 @@
+"""Scenes written as TOML files, for the command line; `examples/cantilever.toml` shows every table.
+
+    name, units ("SI" puts units on the pictures' axes)
+    [mesh]         generator and its arguments (see `jaxshell.model.generators`), or file (whatever meshio reads)
+    [section]      thickness, young_modulus, poisson_ratio, density; kind = "isotropic" where it is not left out
+    [[supports]]   nodes; hold = "clamped", "pinned", "symmetry x" or list; displacement, history
+    [[loads]]      kind = "force", "moment", "edge force", "gravity", "pressure" or "normal force"; nodes; its
+                   force, moment, acceleration, pressure or magnitude; history
+    [watch]        label = { nearest or node, component }
+    [initial]      velocity, angular_velocity, about: a rigid motion
+    [run]          method, spectral_radius, dissipation, inertia, dt, t_end, save_every, tangent, picture_times,
+                   newton_tolerance, newton_reuse, step_tolerance (step control, started with dt)
+
+Nodes are chosen by `nodes = [...]`, `nearest = [x, y, z]`, `plane = { x = 0.0 }`, `box = [[low], [high]]` or
+`boundary = true`; several of these together choose what fulfils all. A history is `{ times, values }` or
+`{ ramp = t }`; without one the load acts, whole, from the start.
+"""
+
+import dataclasses
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxshell.model.generators import GENERATORS
+from jaxshell.model.history import History
+from jaxshell.model.loads import LOADS, Load
+from jaxshell.model.mesh import Mesh
+from jaxshell.model.scene import Defaults, Initial, Scene
+from jaxshell.model.sections import SECTIONS, AnySection, Section
+from jaxshell.model.supports import ALL, Support, symmetry
+
+RUN_KEYS = (
+    "method", "spectral_radius", "dissipation", "inertia", "dt", "t_end", "save_every", "tangent",
+    "picture_times", "newton_tolerance", "newton_reuse", "step_tolerance",
+)  # fmt: skip
+_SELECTORS = ("nodes", "nearest", "plane", "box", "boundary")
+_LOADS = {load.kind: load for load in LOADS}
+_SECTIONS = {section.kind: section for section in SECTIONS}
+_SYMMETRY = {f"symmetry {normal}": symmetry([0], normal).dofs for normal in "xyz"}
+_HOLD = {"clamped": ALL, "pinned": ("ux", "uy", "uz"), **_SYMMETRY}
+
+
+def read_scene_file(path) -> tuple[Scene, dict]:
+    """The scene of a TOML file, and its [run] table as it stands there (method, dt, t_end, ...).
+
+    A mesh file's path is relative to the scene file. Raises FileNotFoundError; ValueError naming the file and
+    the table for whatever is wrong in it, unknown keys included.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"There is no file {path}.")
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is not a valid TOML file: {error}") from error
+    try:
+        return _scene(content, path)
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _scene(content: dict, path: Path) -> tuple[Scene, dict]:
+    top = _Table("the file", content)
+    known = ("name", "units", "mesh", "section", "supports", "loads", "watch", "initial", "run")
+    top.only(*known)
+    mesh = _mesh(top.table("mesh"), path.parent)
+    run = top.table("run", optional=True)
+    run.only(*RUN_KEYS)
+    scene = Scene(
+        mesh,
+        _section(top.table("section")),
+        [_support(table, mesh) for table in top.tables("supports")],
+        [_load(table, mesh) for table in top.tables("loads")],
+        initial=_initial(top.table("initial", optional=True), mesh),
+        name=str(content.get("name", path.stem)),
+        watch=_watch(top.table("watch", optional=True), mesh),
+        defaults=_defaults(run.content, str(content.get("units", ""))),
+    )
+    return scene, dict(run.content)
+
+
+def _mesh(table: "_Table", folder: Path) -> Mesh:
+    if "file" in table.content:
+        table.only("file")
+        file = folder / table.get("file")
+        if not file.is_file():
+            raise ValueError(f"[mesh] There is no file {file}.")
+        return table.call(Mesh.read, file)
+    name = table.get("generator")
+    if name not in GENERATORS:
+        raise ValueError(f"[mesh] generator must be one of {', '.join(GENERATORS)}, but it is {name!r}.")
+    generator = GENERATORS[name]
+    code = generator.__code__
+    arguments = code.co_varnames[: code.co_argcount]
+    table.only("generator", *arguments)
+    for needed in arguments[: len(arguments) - len(generator.__defaults__ or ())]:
+        table.get(needed)
+    return table.call(generator, **{key: value for key, value in table.content.items() if key != "generator"})
+
+
+def _section(table: "_Table") -> AnySection:
+    name = table.content.get("kind", Section.kind)
+    if name not in _SECTIONS:
+        choices = ", ".join(repr(choice) for choice in _SECTIONS)
+        raise ValueError(f"{table.name} kind must be one of {choices}, but it is {name!r}.")
+    section = _SECTIONS[name]
+    fields = [field for field in dataclasses.fields(section) if field.init]
+    table.only("kind", *(field.name for field in fields))
+    for field in fields:
+        if field.default is dataclasses.MISSING:
+            table.get(field.name)
+    return table.call(section, **{key: value for key, value in table.content.items() if key != "kind"})
+
+
+def _support(table: "_Table", mesh: Mesh) -> Support:
+    table.only(*_SELECTORS, "hold", "displacement", "history")
+    hold = table.get("hold")
+    if isinstance(hold, str):
+        if hold not in _HOLD:
+            choices = ", ".join(repr(name) for name in _HOLD)
+            raise ValueError(f"{table.name} hold must be one of {choices} or a list of freedoms, but it is {hold!r}.")
+        hold = _HOLD[hold]
+    displacement = table.content.get("displacement")
+    return table.call(Support, _nodes(table, mesh), hold, displacement, _history(table))
+
+
+def _load(table: "_Table", mesh: Mesh) -> Load:
+    name = table.get("kind")
+    if name not in _LOADS:
+        choices = ", ".join(repr(choice) for choice in _LOADS)
+        raise ValueError(f"{table.name} kind must be one of {choices}, but it is {name!r}.")
+    load = _LOADS[name]
+    if load.acts_on == "shell":
+        table.only("kind", load.value, "history")
+        return table.call(load, table.get(load.value), _history(table))
+    table.only("kind", *_SELECTORS, load.value, "history")
+    where = _nodes(table, mesh)
+    if load.acts_on == "edges":
+        edges = mesh.boundary_edges()
+        where = edges[np.isin(edges, where).all(axis=1)]
+        if not len(where):
+            raise ValueError(f"{table.name} No edge of the mesh's boundary has both its ends among the chosen nodes.")
+    return table.call(load, where, table.get(load.value), _history(table))
+
+
+def _history(table: "_Table") -> History | None:
+    if "history" not in table.content:
+        return None
+    inner = table.table("history")
+    inner.only("ramp", "times", "values")
+    if "ramp" in inner.content:
+        inner.only("ramp")
+        return table.call(History.ramp, inner.get("ramp"))
+    return table.call(History, inner.get("times"), inner.get("values"))
+
+
+def _watch(table: "_Table", mesh: Mesh) -> dict[str, tuple[int, str]]:
+    found = {}
+    for label in table.content:
+        inner = table.table(label)
+        inner.only("nearest", "node", "component")
+        if ("nearest" in inner.content) == ("node" in inner.content):
+            raise ValueError(f"{inner.name} needs either nearest = [x, y, z] or node = number.")
+        if "node" in inner.content:
+            node = inner.get("node")
+        else:
+            node = mesh.nearest_node(inner.vectors("nearest", (3,)))
+        found[label] = (node, inner.get("component"))
+    return found
+
+
+def _initial(table: "_Table", mesh: Mesh) -> Initial | None:
+    table.only("velocity", "angular_velocity", "about")
+    if not table.content:
+        return None
+    return table.call(Initial.rigid, mesh, **{name: table.vectors(name, (3,)) for name in table.content})
+
+
+def _defaults(run: dict, units: str) -> Defaults | None:
+    if units not in ("", "SI"):
+        raise ValueError(f'units must be "SI" or left out, but it is {units!r}.')
+    if "dt" not in run or "t_end" not in run:
+        return None
+    times = tuple(float(t) for t in run.get("picture_times", ()))
+    return Defaults(run["dt"], run["t_end"], run.get("save_every", 1), times, units=units)
+
+
+def _nodes(table: "_Table", mesh: Mesh) -> np.ndarray:
+    """Indices of the nodes that fulfil all of the table's selectors."""
+    x = np.asarray(mesh.nodes)
+    tolerance = 1e-6 * np.ptp(x, axis=0).max()
+    chosen = np.ones(len(x), bool)
+    given = [name for name in _SELECTORS if name in table.content]
+    if not given:
+        raise ValueError(f"{table.name} chooses no nodes; give one of {', '.join(_SELECTORS)}.")
+    for name in given:
+        if name == "nodes":
+            numbers = np.atleast_1d(table.get(name))
+            if numbers.dtype.kind != "i" or np.any((numbers < 0) | (numbers >= len(x))):
+                raise ValueError(
+                    f"{table.name} nodes must be numbers from 0 to {len(x) - 1}, but are {table.get(name)}."
+                )
+            mask = np.isin(np.arange(len(x)), numbers)
+        elif name == "nearest":
+            mask = np.arange(len(x)) == mesh.nearest_node(table.vectors(name, (3,)))
+        elif name == "plane":
+            plane = table.table(name)
+            plane.only("x", "y", "z")
+            mask = np.ones(len(x), bool)
+            for axis, value in plane.content.items():
+                mask &= np.abs(x[:, "xyz".index(axis)] - value) <= tolerance
+        elif name == "box":
+            low, high = table.vectors(name, (2, 3))
+            mask = np.all((x >= low - tolerance) & (x <= high + tolerance), axis=1)
+        else:
+            if table.get(name) is not True:
+                raise ValueError(f"{table.name} boundary must be true or left out, but it is {table.get(name)!r}.")
+            mask = np.isin(np.arange(len(x)), mesh.boundary_edges())
+        chosen &= mask
+    if not chosen.any():
+        raise ValueError(f"{table.name} No node fulfils {' and '.join(given)}; the mesh spans {_span(x)}.")
+    return np.flatnonzero(chosen)
+
+
+def _span(x: np.ndarray) -> str:
+    return ", ".join(f"{a} {low:g} to {high:g}" for a, low, high in zip("xyz", x.min(0), x.max(0), strict=True))
+
+
+class _Table:
+    """A table of the file with its name, for errors that say where they are."""
+
+    def __init__(self, name: str, content):
+        if not isinstance(content, dict):
+            raise ValueError(f"{name} must be a table, but it is {content!r}.")
+        self.name, self.content = name, content
+
+    def only(self, *known: str) -> None:
+        """Raise ValueError for a key that is not one of `known`."""
+        for key in self.content:
+            if key not in known:
+                raise ValueError(f"{self.name} has the unknown key {key!r}. Known keys: {', '.join(known)}.")
+
+    def get(self, key: str) -> Any:
+        if key not in self.content:
+            raise ValueError(f"{self.name} lacks {key!r}.")
+        return self.content[key]
+
+    def vectors(self, key: str, shape: tuple[int, ...]) -> np.ndarray:
+        """A key's numbers as an array of the given shape."""
+        try:
+            array = np.asarray(self.get(key), float)
+        except (TypeError, ValueError):
+            array = np.zeros(0)
+        if array.shape != shape:
+            wanted = "[x, y, z]" if shape == (3,) else "[[x, y, z], [x, y, z]]"
+            raise ValueError(f"{self.name} {key} must be {wanted}, but it is {self.get(key)!r}.")
+        return array
+
+    def table(self, key: str, optional: bool = False) -> "_Table":
+        name = f"[{key}]" if self.name == "the file" else f"{self.name} {key}"
+        return _Table(name, self.content.get(key, {}) if optional else self.get(key))
+
+    def tables(self, key: str) -> list["_Table"]:
+        """The tables of an array of tables, which may be absent; counted from 1 in messages."""
+        found = self.content.get(key, [])
+        if not isinstance(found, list):
+            raise ValueError(f"{key} must be an array of tables: write [[{key}]] above each.")
+        return [_Table(f"[[{key}]] number {i + 1}:", table) for i, table in enumerate(found)]
+
+    def call(self, make, *arguments, **named):
+        """What `make` returns; its errors say which table they come from."""
+        try:
+            return make(*arguments, **named)
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{self.name} {error}") from error

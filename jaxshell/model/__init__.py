@@ -1,0 +1,1 @@
+"""What the user states: mesh, sections, supports, loads, scene."""

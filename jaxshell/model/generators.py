@@ -1,0 +1,92 @@
+"""Meshes of common shapes: rectangle, cylinder, spherical cap and zone; for scene files and scripts."""
+
+import math
+
+import numpy as np
+
+from jaxshell.model.mesh import Mesh, structured_triangles
+
+
+def rectangle(length, width, divisions) -> Mesh:
+    """0 ≤ x ≤ `length`, 0 ≤ y ≤ `width`, z = 0, normal +z; `divisions` (along x, along y)."""
+    columns, rows = _counts("rectangle", divisions, (1, 1))
+    _positive(length=length, width=width)
+    x, y = _grid(np.linspace(0, length, columns + 1), np.linspace(0, width, rows + 1))
+    return Mesh(np.stack([x, y, 0 * x], 1), structured_triangles(columns, rows))
+
+
+def cylinder(radius, length, divisions, angle=360.0) -> Mesh:
+    """Cylinder about the x axis, 0 ≤ x ≤ `length`, normals outwards.
+
+    `angle` [degrees] around, from the +y axis towards +z; 360 closes it. `divisions` (along, around).
+    """
+    _positive(radius=radius, length=length, angle=angle)
+    if angle > 360:
+        raise ValueError(f"angle must be at most 360 degrees, but it is {angle}.")
+    closed = angle == 360
+    rows, around = _counts("cylinder", divisions, (1, 3 if closed else 1))
+    turns = np.radians(angle) * np.arange(around + (not closed)) / around
+    x, turn = _grid(np.linspace(0, length, rows + 1), turns)
+    nodes = np.stack([x, radius * np.cos(turn), radius * np.sin(turn)], 1)
+    # ∂x × ∂turn points inwards.
+    return Mesh(nodes, structured_triangles(rows, around, periodic=closed)[:, [0, 2, 1]])
+
+
+def spherical_cap(radius, half_angle, divisions) -> Mesh:
+    """Cap of a sphere about the origin, apex on +z, down to the polar angle `half_angle` [degrees].
+
+    A square grid of 2·`divisions` squared cells drawn onto the cap: a node at the apex, no tiny triangles,
+    normals outwards. The rim is the mesh's boundary.
+    """
+    (count,) = _counts("spherical_cap", [divisions], (1,))
+    _positive(radius=radius, half_angle=half_angle)
+    if half_angle >= 180:
+        raise ValueError(f"half_angle must be below 180 degrees, but it is {half_angle}.")
+    s, t = _grid(*[np.arange(-count, count + 1) / count] * 2)
+    polar = np.radians(half_angle) * np.maximum(np.abs(s), np.abs(t))
+    # Squares |s|, |t| = const become circles, and each quarter of a square's outline a quarter of the circle.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        across = np.where(np.abs(s) >= np.abs(t), t / s, s / t) * math.pi / 4
+    azimuth = np.where(np.abs(s) >= np.abs(t), across + math.pi * (s < 0), math.pi / 2 - across + math.pi * (t < 0))
+    azimuth = np.where(polar == 0, 0.0, azimuth)
+    return Mesh(_on_sphere(radius, polar, azimuth), structured_triangles(2 * count, 2 * count))
+
+
+def spherical_zone(radius, top, bottom, divisions) -> Mesh:
+    """Ring of a sphere about the origin between polar angles `top` < `bottom` [degrees], normals outwards.
+
+    `divisions` (around, along the meridian).
+    """
+    around, rows = _counts("spherical_zone", divisions, (3, 1))
+    _positive(radius=radius, top=top)
+    if not top < bottom < 180:
+        raise ValueError(f"Angles must fulfil 0 < top < bottom < 180 degrees, but are top {top}, bottom {bottom}.")
+    polar, azimuth = _grid(np.radians(np.linspace(top, bottom, rows + 1)), 2 * math.pi * np.arange(around) / around)
+    return Mesh(_on_sphere(radius, polar, azimuth), structured_triangles(rows, around, periodic=True))
+
+
+GENERATORS = {f.__name__: f for f in (rectangle, cylinder, spherical_cap, spherical_zone)}
+
+
+def _on_sphere(radius, polar, azimuth) -> np.ndarray:
+    points = [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)]
+    return radius * np.stack(points, 1)
+
+
+def _grid(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    first, second = np.meshgrid(first, second, indexing="ij")
+    return first.ravel(), second.ravel()
+
+
+def _counts(shape: str, divisions, least: tuple[int, ...]) -> list[int]:
+    counts = np.atleast_1d(divisions)
+    if len(counts) != len(least) or counts.dtype.kind != "i" or np.any(counts < least):
+        wanted = " and ".join(str(n) for n in least)
+        raise ValueError(f"divisions of a {shape} must be whole numbers of at least {wanted}, but are {divisions!r}.")
+    return [int(n) for n in counts]
+
+
+def _positive(**values) -> None:
+    for name, value in values.items():
+        if not (np.ndim(value) == 0 and value > 0):
+            raise ValueError(f"{name} must be positive, but it is {value!r}.")

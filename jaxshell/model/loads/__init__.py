@@ -1,0 +1,25 @@
+"""Loads, one kind a file: those with a fixed direction, and those that follow the surface."""
+
+from jaxshell.model.history import History
+from jaxshell.model.loads.base import DeadLoad, Load
+from jaxshell.model.loads.edge import EdgeForce
+from jaxshell.model.loads.gravity import Gravity
+from jaxshell.model.loads.nodal import NodalForce, NodalMoment
+from jaxshell.model.loads.normal_force import NormalForce
+from jaxshell.model.loads.pressure import Pressure
+
+LOADS: tuple[type[Load], ...] = (NodalForce, NodalMoment, EdgeForce, Gravity, Pressure, NormalForce)
+"""Every kind that scene files and result files know."""
+
+__all__ = [
+    "LOADS",
+    "DeadLoad",
+    "EdgeForce",
+    "Gravity",
+    "History",
+    "Load",
+    "NodalForce",
+    "NodalMoment",
+    "NormalForce",
+    "Pressure",
+]

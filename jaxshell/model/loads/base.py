@@ -1,0 +1,50 @@
+"""What every load offers: its value, its history, and how scene files write it."""
+
+import abc
+from typing import Any, ClassVar
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from jaxshell.model.history import History
+from jaxshell.model.mesh import Mesh
+from jaxshell.numerics.checks import check_finite
+
+
+class Load(eqx.Module):
+    """A load of a scene, scaled by its history: a `DeadLoad`, or a `Contribution` that follows the motion."""
+
+    kind: ClassVar[str]
+    """Its name in scene files."""
+    value: ClassVar[str]
+    """The field, and the key in scene files, that holds its full value."""
+    acts_on: ClassVar[str] = "nodes"
+    """What scene files choose for it: "nodes", "edges", or "shell" for all of it."""
+
+    history: eqx.AbstractVar[History]
+
+    def check(self, mesh: Mesh) -> None:
+        """Raise ValueError where the load does not fit the mesh; called when the scene is made."""
+
+
+class DeadLoad(Load):
+    """A load whose nodal forces and moments keep their direction and size, but for the history."""
+
+    @abc.abstractmethod
+    def nodal(self, x0, triangles, mass_per_area) -> Float[Array, "n 6"]:
+        """(n, 6) force and moment on each node for factor 1.
+
+        `x0` (n, 3) are the nodes of the stress-free shape, `triangles` (m, 3), `mass_per_area` (m,).
+        """
+
+
+def given_history(history: History | None) -> History:
+    """`history`, or a constant one."""
+    return History.constant() if history is None else history
+
+
+def check_vectors(name: str, value: Any, count: int) -> None:
+    """Raise ValueError unless `value` is one finite vector (3,) or one for each of `count`."""
+    check_finite(name, value)
+    if value.shape not in ((3,), (count, 3)):
+        raise ValueError(f"{name} must have shape (3,) or ({count}, 3), but it has shape {value.shape}.")

@@ -1,0 +1,52 @@
+"""Forces with a fixed direction on edges."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxshell.model.history import History
+from jaxshell.model.loads.base import DeadLoad, check_vectors, given_history
+from jaxshell.numerics.checks import check_shape, float_array, node_indices
+from jaxshell.numerics.frozen import Frozen
+
+
+class EdgeForce(DeadLoad):
+    """A force with a fixed direction per reference length of edges.
+
+    Arguments:
+        edges: (k, 2) node indices of the edges' ends.
+        force: (3,) or (k, 3) [force/length]; half of each edge's resultant goes to each of its ends.
+    """
+
+    kind: ClassVar[str] = "edge force"
+    value: ClassVar[str] = "force"
+    acts_on: ClassVar[str] = "edges"
+
+    edges: Frozen = eqx.field(static=True)
+    force: Float[jax.Array, "*k 3"]
+    history: History
+
+    def __init__(self, edges, force, history: History | None = None):
+        check_shape("edges", edges, (None, 2))
+        node_indices("edge nodes", np.asarray(edges).ravel())
+        self.edges = Frozen(edges)
+        self.force = float_array(force)
+        self.history = given_history(history)
+
+    def __check_init__(self):
+        check_vectors("edge force", self.force, self.edges.array.shape[0])
+
+    @property
+    def nodes(self) -> Frozen:
+        return Frozen(self.edges.array.ravel())
+
+    def nodal(self, x0, triangles, mass_per_area) -> Float[jax.Array, "n 6"]:
+        """(n, 6) force and moment on each node for factor 1."""
+        first, second = self.edges.array.T
+        length = jnp.linalg.norm(x0[second] - x0[first], axis=1, keepdims=True)
+        share = 0.5 * length * jnp.broadcast_to(self.force, length.shape[:1] + (3,))
+        return jnp.zeros((x0.shape[0], 6)).at[first, :3].add(share).at[second, :3].add(share)

@@ -1,0 +1,193 @@
+"""The scene: everything that the user states about a shell, as one pytree whose floats are differentiable."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxshell.model.contribution import Contribution
+from jaxshell.model.loads import Load
+from jaxshell.model.mesh import Mesh
+from jaxshell.model.sections import AnySection
+from jaxshell.model.supports import Support
+from jaxshell.numerics.checks import check_finite, check_shape, float_array, is_concrete
+from jaxshell.numerics.frozen import Frozen
+
+WATCHABLE = ("ux", "uy", "uz", "vx", "vy", "vz")
+
+
+def _optional_array(value):
+    return None if value is None else float_array(value)
+
+
+class Initial(eqx.Module):
+    """The state at the start, where it differs from rest in the stress-free shape.
+
+    Arguments (each may be None; all differentiable):
+        velocities: (n, 3) nodal velocities [length/time].
+        angular_velocities: (n, 3) nodal angular velocities in space [rad/time].
+        displacements: (n, 3) nodal displacements from the stress-free shape [length].
+        rotations: (n, 3, 3) nodal rotation matrices from the stress-free shape.
+
+    Raises ValueError for NaN and for matrices that are no rotations.
+    """
+
+    velocities: Float[jax.Array, "n 3"] | None = eqx.field(converter=_optional_array, default=None)
+    angular_velocities: Float[jax.Array, "n 3"] | None = eqx.field(converter=_optional_array, default=None)
+    displacements: Float[jax.Array, "n 3"] | None = eqx.field(converter=_optional_array, default=None)
+    rotations: Float[jax.Array, "n 3 3"] | None = eqx.field(converter=_optional_array, default=None)
+
+    def __check_init__(self):
+        for name in ("velocities", "angular_velocities", "displacements", "rotations"):
+            if getattr(self, name) is not None:
+                check_finite(f"initial {name}", getattr(self, name))
+        if self.rotations is not None:
+            check_shape("initial rotations", self.rotations, (None, 3, 3))
+            if is_concrete(self.rotations):
+                _check_rotations(np.asarray(self.rotations))
+
+    @classmethod
+    def rigid(cls, mesh: Mesh, velocity=(0.0, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.0), about=None) -> "Initial":
+        """A rigid motion: `velocity` (3,) of the point `about` (3,) (default: the mean of the nodes), and a spin."""
+        velocity, spin = float_array(velocity), float_array(angular_velocity)
+        centre = jnp.mean(mesh.nodes, axis=0) if about is None else float_array(about)
+        velocities = velocity + jnp.cross(spin, mesh.nodes - centre)
+        return cls(velocities, jnp.broadcast_to(spin, mesh.nodes.shape))
+
+
+class Defaults(NamedTuple):
+    """How a scene of the library is usually run and shown; the command line starts from it."""
+
+    dt: float
+    t_end: float
+    save_every: int = 1
+    picture_times: tuple[float, ...] = ()
+    methods: tuple[tuple[str, float, float], ...] = (("EMC", 1.0, 0.0),)
+    """(name, spectral_radius, dissipation) of each of the paper's runs; the first is the default."""
+    units: str = ""
+    """"SI" puts units (s, m, J, ...) on the pictures' axes; empty leaves them plain."""
+    axes: tuple[tuple[str, float, str], ...] = ()
+    """(watch label, divisor, axis label) of watched quantities that pictures show as multiples of something."""
+
+
+class Scene(eqx.Module):
+    """A shell with its supports and loads.
+
+    Arguments:
+        mesh, section: the shell. supports, loads: sequences, possibly empty.
+        initial: the state at the start; None is rest.
+        name: for files and pictures.
+        watch: {label: (node, component)}, component out of ux, uy, uz, vx, vy, vz; kept at every step. Or the same as
+            (label, node, component), as a scene has it: so `dataclasses.replace` makes a scene that differs in a part.
+        defaults: suggested time step, duration and methods (used by the command line only).
+
+    Units are the user's, consistently. Raises ValueError for loads and supports on nodes that do not
+    exist, for a freedom prescribed twice, for values per element or node of another length.
+    """
+
+    mesh: Mesh
+    section: AnySection
+    supports: tuple[Support, ...]
+    loads: tuple[Load, ...]
+    initial: Initial | None
+    name: str = eqx.field(static=True)
+    watch: tuple[tuple[str, int, str], ...] = eqx.field(static=True)
+    defaults: Defaults | None = eqx.field(static=True)
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        section: AnySection,
+        supports: Sequence[Support] = (),
+        loads: Sequence[Load] = (),
+        initial: Initial | None = None,
+        name: str = "scene",
+        watch: Mapping[str, tuple[int, str]] | Sequence[tuple[str, int, str]] | None = None,
+        defaults: Defaults | None = None,
+    ):
+        self.mesh = mesh
+        self.section = section
+        self.supports = (supports,) if isinstance(supports, Support) else tuple(supports)
+        self.loads = (loads,) if isinstance(loads, Load) else tuple(loads)
+        self.initial = initial
+        self.name = name
+        if isinstance(watch, Mapping):
+            watch = [(label, *what) for label, what in watch.items()]
+        self.watch = tuple((label, int(node), component) for label, node, component in watch or ())
+        self.defaults = defaults
+
+    def __check_init__(self):
+        n = self.mesh.n_nodes
+        self.section.check(self.mesh)
+        for kind, objects in (("support", self.supports), ("load", self.loads)):
+            for position, item in enumerate(objects):
+                nodes = getattr(item, "nodes", None)
+                if nodes is not None:
+                    _check_nodes(f"{kind} {position}", nodes.array, n)
+        for label, node, component in self.watch:
+            _check_nodes(f"watch {label!r}", np.array([node]), n)
+            if component not in WATCHABLE:
+                raise ValueError(f"watch {label!r} names {component!r}; choose out of {', '.join(WATCHABLE)}.")
+        for position, load in enumerate(self.loads):
+            try:
+                load.check(self.mesh)
+            except ValueError as error:
+                raise ValueError(f"load {position}: {error}") from error
+        if self.initial is not None:
+            for name in ("velocities", "angular_velocities", "displacements"):
+                if getattr(self.initial, name) is not None:
+                    check_shape(f"initial {name}", getattr(self.initial, name), (n, 3))
+            if self.initial.rotations is not None:
+                check_shape("initial rotations", self.initial.rotations, (n, 3, 3))
+        self._check_prescribed_once()
+
+    def _check_prescribed_once(self):
+        moved = [s.dof_numbers.ravel() for s in self.supports if s.displacement is not None]
+        held = [s.dof_numbers.ravel() for s in self.supports if s.displacement is None]
+        if moved:
+            numbers = np.concatenate(moved)
+            both = np.intersect1d(numbers, np.concatenate([*held, np.zeros(0, int)]))
+            repeated = np.concatenate([both, _repeats(numbers)])
+            if repeated.size:
+                node, dof = divmod(int(repeated[0]), 6)
+                raise ValueError(
+                    f"Freedom {('ux', 'uy', 'uz', 'rx', 'ry', 'rz')[dof]} of node {node} is prescribed by two supports."
+                )
+
+    @property
+    def contributions(self) -> tuple[Contribution, ...]:
+        """What follows the motion, in the order of the loads."""
+        return tuple(load for load in self.loads if isinstance(load, Contribution))
+
+    @property
+    def held_dofs(self) -> np.ndarray:
+        """Sorted numbers 6·node + dof of all freedoms that supports hold or move."""
+        numbers = [support.dof_numbers.ravel() for support in self.supports]
+        return np.unique(np.concatenate(numbers)) if numbers else np.zeros(0, np.int64)
+
+    @property
+    def held(self) -> Frozen:
+        return Frozen(self.held_dofs)
+
+
+def _check_nodes(what: str, nodes: np.ndarray, n_nodes: int) -> None:
+    outside = (nodes < 0) | (nodes >= n_nodes)
+    if outside.any():
+        raise ValueError(f"{what} names node {nodes[outside][0]}, but the mesh has nodes 0 to {n_nodes - 1}.")
+
+
+def _check_rotations(R: np.ndarray) -> None:
+    error = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
+    bad = (error > 1e-8) | (np.linalg.det(R) < 0)
+    if bad.any():
+        node = int(np.argmax(bad))
+        raise ValueError(f"initial rotations: the matrix of node {node} is no rotation: {R[node].tolist()}.")
+
+
+def _repeats(numbers: np.ndarray) -> np.ndarray:
+    values, count = np.unique(numbers, return_counts=True)
+    return values[count > 1]

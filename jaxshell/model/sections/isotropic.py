@@ -1,0 +1,90 @@
+"""The homogeneous isotropic section: a thickness and an elastic material, each one value or one per element."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxshell.model.mesh import Mesh
+from jaxshell.model.sections.base import AnySection, Resultants
+from jaxshell.numerics.checks import check_finite, check_positive, float_array, is_concrete
+
+BETA_0_MINIMUM = 0.01
+"""Least factor of the membrane's higher-order stiffness, so that the element keeps its rank of 6."""
+
+
+class Section(AnySection):
+    """Thickness and material, each a scalar or an array (m,) with one value per element; all differentiable.
+
+    Arguments:
+        thickness: h [length].
+        young_modulus: E [force/length²].
+        poisson_ratio: ν, in (-1, 1/2].
+        density: ρ [mass/length³].
+
+    Units are the user's, consistently. Raises ValueError naming the value that is out of range.
+    """
+
+    kind: ClassVar[str] = "isotropic"
+
+    thickness: Float[jax.Array, "*m"] = eqx.field(converter=float_array)
+    young_modulus: Float[jax.Array, "*m"] = eqx.field(converter=float_array)
+    poisson_ratio: Float[jax.Array, "*m"] = eqx.field(converter=float_array)
+    density: Float[jax.Array, "*m"] = eqx.field(converter=float_array)
+
+    def __check_init__(self):
+        check_positive("thickness", self.thickness)
+        check_positive("young_modulus", self.young_modulus)
+        check_positive("density", self.density)
+        check_finite("poisson_ratio", self.poisson_ratio)
+        if is_concrete(self.poisson_ratio):
+            ratio = np.asarray(self.poisson_ratio)
+            bad = (ratio <= -1) | (ratio > 0.5)
+            if bad.any():
+                raise ValueError(f"poisson_ratio must lie in (-1, 0.5], but it is {ratio[bad].flat[0]}.")
+
+    def check(self, mesh: Mesh) -> None:
+        self.per_element(mesh.n_elements)
+        check_finite("thickness", self.thickness)
+
+    def resultants(self, mesh: Mesh) -> Resultants:
+        each = self.per_element(mesh.n_elements)
+        return jax.vmap(isotropic)(each.thickness, each.young_modulus, each.poisson_ratio, each.density)
+
+    def per_element(self, n_elements: int) -> "Section":
+        """The same section with every value as an array (n_elements,). Raises ValueError for another length."""
+        values = {}
+        for name in ("thickness", "young_modulus", "poisson_ratio", "density"):
+            value = jnp.asarray(getattr(self, name))
+            if value.shape not in ((), (n_elements,)):
+                raise ValueError(
+                    f"{name} must be one value or one per element ({n_elements}), but it has shape {value.shape}."
+                )
+            values[name] = jnp.broadcast_to(value, (n_elements,))
+        return Section(**values)
+
+
+def isotropic(thickness, young_modulus, poisson_ratio, density) -> Resultants:
+    """Resultants of a homogeneous isotropic shell: A = h C, D = h³/12 C; from scalars.
+
+    The optimal β0 is (1 - 4ν²)/2, but never less than 0.01 (the bound acts from ν = 0.495).
+    """
+    C = plane_stress_matrix(young_modulus, poisson_ratio)
+    return Resultants(
+        A=thickness * C,
+        D=thickness**3 / 12.0 * C,
+        mass_per_area=density * thickness,
+        rotary_inertia=density * thickness**3 / 12.0,
+        beta0=jnp.maximum(0.5 * (1.0 - 4.0 * jnp.asarray(poisson_ratio) ** 2), BETA_0_MINIMUM),
+    )
+
+
+def plane_stress_matrix(young_modulus, poisson_ratio) -> Float[Array, "3 3"]:
+    """Isotropic plane-stress matrix C, (σxx, σyy, τxy) = C (εxx, εyy, γxy) [units of E]."""
+    nu = jnp.asarray(poisson_ratio)
+    zero, one = jnp.zeros_like(nu), jnp.ones_like(nu)
+    rows = jnp.stack([one, nu, zero, nu, one, zero, zero, zero, 0.5 * (1.0 - nu)]).reshape(3, 3)
+    return young_modulus / (1.0 - nu * nu) * rows

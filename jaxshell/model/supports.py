@@ -1,0 +1,94 @@
+"""Supports: which displacements and rotations of which nodes are held, or follow a prescribed motion."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxshell.model.history import History
+from jaxshell.numerics.checks import check_finite, float_array, is_concrete, node_indices
+from jaxshell.numerics.frozen import Frozen
+
+DOFS = ("ux", "uy", "uz", "rx", "ry", "rz")
+ALL = DOFS
+
+
+class Support(eqx.Module):
+    """Hold degrees of freedom of nodes, in global axes.
+
+    Arguments:
+        nodes: node indices.
+        dofs: names out of ux, uy, uz (displacements) and rx, ry, rz (rotations about the global axes). A rotation
+            that is held is left out of every step's turn. Where ONE is held and a node turns about both others,
+            where that leads depends on the steps, with the second order of the turn: hold two (a hinge) or three.
+        displacement: prescribed displacement [length], scalar or one per entry of `dofs`; multiplied by
+            `history`. None holds the freedoms where they are. Only for ux, uy, uz. Differentiable.
+        history: how the prescribed displacement varies in time (statics goes by the load factor instead); zero at
+            time 0, where runs start, or the support would jump.
+
+    Raises ValueError for unknown names, empty selections, prescribed rotations, and histories that do not start
+    from zero.
+    """
+
+    nodes: Frozen = eqx.field(static=True)
+    dofs: tuple[str, ...] = eqx.field(static=True)
+    displacement: Float[jax.Array, "*d"] | None
+    history: History | None
+
+    def __init__(self, nodes, dofs=ALL, displacement=None, history=None):
+        self.nodes = Frozen(node_indices("support nodes", nodes))
+        self.dofs = (dofs,) if isinstance(dofs, str) else tuple(dofs)
+        if displacement is not None and history is None:
+            raise ValueError("A prescribed displacement needs a history (jaxshell.History) that says when it acts.")
+        self.displacement = None if displacement is None else float_array(displacement)
+        self.history = None if displacement is None else history
+
+    def __check_init__(self):
+        if not self.dofs:
+            raise ValueError("A support must hold at least one of " + ", ".join(DOFS) + ".")
+        for name in self.dofs:
+            if name not in DOFS:
+                raise ValueError(f"A support holds {name!r}, which does not exist. Choose out of {', '.join(DOFS)}.")
+        if self.displacement is not None and self.history is not None:
+            check_finite("prescribed displacement", self.displacement)
+            turning = [name for name in self.dofs if name.startswith("r")]
+            if turning:
+                raise ValueError(f"Only displacements can be prescribed, but the support names {', '.join(turning)}.")
+            if is_concrete(self.history.times) and is_concrete(self.history.values):
+                first = float(np.interp(0.0, np.asarray(self.history.times), np.asarray(self.history.values)))
+                if first != 0.0:
+                    raise ValueError(
+                        f"The history of a prescribed displacement must be zero at time 0, but it is {first:g}: the "
+                        "support would jump. Start with a ramp, or put the nodes where they begin."
+                    )
+
+    @property
+    def dof_numbers(self) -> np.ndarray:
+        """(k, d) numbers 6·node + dof of the freedoms held."""
+        return 6 * self.nodes.array[:, None] + np.array([DOFS.index(name) for name in self.dofs])
+
+    def values(self, time) -> Float[jax.Array, "k d"]:
+        """(k, d) prescribed displacements at `time`."""
+        shape = self.dof_numbers.shape
+        if self.displacement is None or self.history is None:
+            return jnp.zeros(shape)
+        return jnp.broadcast_to(self.displacement, shape) * self.history(time)
+
+
+def clamped(nodes) -> Support:
+    """All six freedoms of the nodes held."""
+    return Support(nodes, ALL)
+
+
+def pinned(nodes) -> Support:
+    """The displacements of the nodes held, their rotations free."""
+    return Support(nodes, ("ux", "uy", "uz"))
+
+
+def symmetry(nodes, normal: str) -> Support:
+    """Nodes in a plane of symmetry with the given normal, "x", "y" or "z"."""
+    held = {"x": ("ux", "ry", "rz"), "y": ("uy", "rx", "rz"), "z": ("uz", "rx", "ry")}
+    if normal not in held:
+        raise ValueError(f"normal must be 'x', 'y' or 'z', but it is {normal!r}.")
+    return Support(nodes, held[normal])

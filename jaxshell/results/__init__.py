@@ -1,0 +1,1 @@
+"""What runs give back: solutions, result files, and what is computed from them."""

@@ -1,0 +1,1 @@
+"""Newton's iteration and the linear solvers under it."""

@@ -1,0 +1,213 @@
+"""Chord Newton: a factorization serves over iterations and steps while the contraction that it gives is good.
+
+A factorization costs as much as five to twenty corrections with one at hand. Where kept factorizations fail, the
+step is done anew with one in every iteration.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxshell.solvers.iteration import (
+    DIVERGED,
+    ROUND_OFF,
+    STAGNATED,
+    SUCCESSFUL,
+    Correction,
+    Linear,
+    Measure,
+    Memory,
+    Problem,
+    Solved,
+)
+
+_CONTRACTS = 0.25
+"""A kept factorization is used again while corrections shrink at least by this factor ..."""
+_AFFORDABLE = 6
+"""... and no more than so many are expected to follow: about what a factorization costs on small meshes."""
+_USELESS, _FORGETS = 0.5, 0.8
+"""A step starts with its own factorization if the last step's left more than this of the error; to be tried again
+later, what is remembered of it fades by this factor a step."""
+_FEW = 4
+"""Full iterations of a step after which the next one tries kept factorizations again."""
+_PATIENCE = 8
+"""Corrections of a step after which every further one factors."""
+_MARGIN = 1e-2
+"""With kept factorizations corrections shrink linearly, and what remains is about as large as what was predicted:
+a hundredth of the tolerance makes results as near to the converged ones as full iterations' at that tolerance."""
+_NOISE = 1e-10
+"""Corrections below this that shrink no more, their factorization being their own, are round-off."""
+
+
+class _Carry(NamedTuple):
+    free: Float[Array, " nf"]
+    last: Float[Array, " nf"]
+    """The iterate before."""
+    done: Bool[Array, ""]
+    result: Int[Array, ""]
+    iterations: Int[Array, ""]
+    factorizations: Int[Array, ""]
+    correction: Float[Array, ""]
+    memory: Memory
+    hard: Bool[Array, ""]
+    """A factorization of this step contracted slowly."""
+    own: Bool[Array, ""]
+    """The last correction's matrix was its own iterate's."""
+    full: Bool[Array, ""]
+    """Kept factorizations have failed in this step: begun anew with one in every iteration."""
+    huge: Bool[Array, ""]
+    """The last correction was huge, with its own factorization."""
+
+
+class _Outlook(NamedTuple):
+    """What a correction says of those to come."""
+
+    target: Float[Array, ""]
+    """What the next must be below."""
+    predicted: Float[Array, ""]
+    """The next one."""
+    contraction: Float[Array, ""]
+    """To be remembered."""
+    stale: Bool[Array, ""]
+    """The next one is to factor."""
+    hard: Bool[Array, ""]
+
+
+def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, memory: Memory):
+    """Iterate from `guess` (nf,) with the settings `newton`: (Solved, Memory for the next step)."""
+    full = memory.hard == 2
+    memory = eqx.tree_at(lambda m: m.stale, memory, memory.stale | full)
+    start = _start(guess, memory, full)
+
+    def correction(c: _Carry, r) -> tuple[Correction, Memory]:
+        """The correction, and the memory with what was factored for it."""
+
+        def anew():
+            values = problem.matrix(c.free, c.last)
+            step, factorization = linear.solver.factor_and_solve(linear.handle, values, -r)
+            return step, factorization, values
+
+        def again():
+            kept = c.memory
+            step = linear.solver.solve(linear.handle, kept.factorization, kept.values, -r)
+            return step, kept.factorization, kept.values
+
+        step, factorization, values = lax.cond(c.memory.stale, anew, again)
+        memory = eqx.tree_at(lambda m: (m.factorization, m.values), c.memory, (factorization, values))
+        return measure.correction(step, c.correction), memory
+
+    def advance(c: _Carry, r) -> _Carry:
+        fresh = c.memory.stale
+        found, memory = correction(c, r)
+        outlook = _outlook(newton, c, found, fresh)
+        if newton.criterion == "norm":
+            enough = jnp.linalg.norm(found.step) <= newton.tolerance
+        else:
+            enough = (found.length <= outlook.target) | ((found.ratio < 0.5) & (outlook.predicted <= outlook.target))
+            enough |= fresh & (found.ratio > 0.5) & (c.correction < _NOISE)
+        # A correction that an old factorization spoiled is not taken; the next factors anew.
+        bad = found.hopeless(again=~fresh | c.huge)
+        final = bad & fresh
+        done = final | (enough & found.whole & ~bad)
+        result = jnp.where(final, found.failure(), SUCCESSFUL)
+        after = _Carry(
+            free=jnp.where(bad, c.free, c.free + found.damping * found.step),
+            last=c.free,
+            done=done,
+            result=result,
+            iterations=c.iterations + 1,
+            factorizations=c.factorizations + fresh,
+            correction=jnp.where(bad, jnp.inf, found.measured),
+            memory=eqx.tree_at(lambda m: (m.stale, m.contraction), memory, (outlook.stale | bad, outlook.contraction)),
+            hard=outlook.hard,
+            own=fresh,
+            full=c.full,
+            huge=found.huge & fresh,
+        )
+        failed = jnp.where(done, result != SUCCESSFUL, after.iterations >= newton.max_iterations)
+        return _where(failed & ~c.full, _begun_anew(start, after), after)
+
+    def body(c: _Carry) -> _Carry:
+        r, error = measure.residual(problem, c.free)
+        # Kept factorizations leave errors in soft directions (rigid motions, for one), which residuals hardly show:
+        # there corrections alone decide.
+        settled = (error < ROUND_OFF) & c.full
+        broken = ~jnp.isfinite(error)
+        stop = c._replace(done=jnp.array(True), result=jnp.where(broken, DIVERGED, c.result))
+        stop = _where(broken & ~c.full, _begun_anew(start, c), stop)
+        return lax.cond(settled | broken, lambda: stop, lambda: advance(c, r))
+
+    limit = 2 * newton.max_iterations
+    end = lax.while_loop(lambda c: ~c.done & (c.iterations < limit), body, start)
+    result = jnp.where(end.done, end.result, STAGNATED)
+    solved = Solved(end.free, result, end.iterations, end.factorizations, end.correction)
+    return solved, _remembered(end, result)
+
+
+def _start(guess, memory: Memory, full) -> _Carry:
+    zero = jnp.zeros((), jnp.int32)
+    return _Carry(
+        free=guess,
+        last=jnp.zeros_like(guess),
+        done=jnp.array(False),
+        result=zero,
+        iterations=zero,
+        factorizations=zero,
+        correction=jnp.array(jnp.inf),
+        memory=memory,
+        hard=jnp.array(False),
+        own=jnp.array(False),
+        full=full,
+        huge=jnp.array(False),
+    )
+
+
+def _begun_anew(start: _Carry, c: _Carry) -> _Carry:
+    """What kept factorizations spoilt is done again without them."""
+    yes = jnp.array(True)
+    memory = eqx.tree_at(lambda m: m.stale, c.memory, yes)
+    return start._replace(iterations=c.iterations, factorizations=c.factorizations, memory=memory, hard=yes, full=yes)
+
+
+def _where(condition, there: _Carry, here: _Carry) -> _Carry:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), there, here)
+
+
+def _outlook(newton, c: _Carry, found: Correction, fresh) -> _Outlook:
+    """After the correction `found`, whose matrix was its iterate's if `fresh`."""
+    length, q = found.length, found.ratio
+    first = ~jnp.isfinite(c.correction)
+    target = jnp.where(c.full, 1.0, _MARGIN) * newton.tolerance
+    # Only corrections of one kept factorization say how it contracts: after its own iterate's, which took most
+    # of the error, what it leaves is in soft directions and may be far larger than their ratio tells.
+    linear = jnp.where(c.own, 1.0, q / jnp.maximum(1.0 - q, 0.1))
+    # After a kept factorization's correction a fresh one's q is still the kept one's, hence no square.
+    quadratic = jnp.where(c.full | (c.factorizations == c.iterations), q * q, q)
+    predicted = length * jnp.where(first, 1.0, jnp.where(fresh, quadratic, linear))
+    earlier = ~fresh & (c.factorizations == 0)
+    contraction = jnp.where(earlier & (c.iterations == 1), q, c.memory.contraction)
+    contraction = jnp.where(first & fresh, _FORGETS * contraction, contraction)
+    # Of further corrections with this factorization.
+    expected = jnp.where(first, c.memory.contraction, q)
+    to_go = jnp.log(length * expected / target) / -jnp.log(jnp.clip(expected, 1e-10, 0.99))
+    slow = expected > _CONTRACTS
+    # Steps on which even their own factorizations serve once only start a long way off: full iterations, in the
+    # next step too.
+    hard = c.hard | (slow & (c.factorizations > 0))
+    full = (c.memory.hard > 0) | hard
+    near = expected < _CONTRACTS**2
+    stale = jnp.where(fresh, full & ~near, slow | (to_go > _AFFORDABLE)) | (c.iterations >= _PATIENCE)
+    return _Outlook(target, predicted, contraction, stale | c.full, hard)
+
+
+def _remembered(end: _Carry, result) -> Memory:
+    """What the step leaves to the next."""
+    kept = end.memory
+    useless = (kept.contraction > _USELESS) | (result != SUCCESSFUL)
+    many = end.full & (end.iterations > _FEW)
+    hard = jnp.where(many, 2, end.full | end.hard).astype(jnp.int32)
+    return eqx.tree_at(lambda m: (m.stale, m.hard), kept, (kept.stale | useless, hard))

@@ -1,0 +1,143 @@
+"""What the iterations for one step's equations have in common: the problem, how corrections are measured, results.
+
+Corrections are measured in the shell's own scale: displacements over the diagonal of its bounding box, and
+rotations in radians; the largest entry counts.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxshell.solvers.linear_solver import Handle, LinearSolver
+
+SUCCESSFUL, DIVERGED, STAGNATED, SINGULAR, STEP_TOO_SMALL, UNSTABLE = (np.int32(k) for k in range(6))
+"""Result codes inside compiled programs, in the order of `jaxshell.RESULTS`."""
+
+ROUND_OFF = 1e-14
+"""A residual below this fraction of the forces in balance is noise."""
+_GIVE_UP = 1e3
+"""No correction is this many times the shell's size, or so many radians."""
+_FIRST_GUESS = 0.1
+"""Contraction of a factorization that has not been used yet."""
+
+
+class Problem(NamedTuple):
+    """The equations of a step as functions of the free increments (nf,)."""
+
+    balance: Callable
+    """→ `jaxshell.methods.base.Balance`."""
+    matrix: Callable
+    """(free, the iterate before it: zeros, the step's start, at first) → values of the sparse tangent."""
+    free: Callable
+    """(n, 6) → its free entries."""
+
+
+class Linear(NamedTuple):
+    """A linear solver and its prepared pattern."""
+
+    solver: LinearSolver
+    handle: Handle
+
+    def memory(self, newton) -> "Memory":
+        """Memory before the first step of a run with the settings `newton`."""
+        kept = self.handle.indices.shape if newton.reuse else (0,)
+        return Memory(
+            factorization=self.solver.initial_factorization(self.handle),
+            values=jnp.zeros(kept),
+            stale=jnp.array(True),
+            contraction=jnp.array(_FIRST_GUESS),
+            hard=jnp.zeros((), jnp.int32),
+        )
+
+
+class Memory(eqx.Module):
+    """What one step's iteration leaves to the next: a factorization, and whether it still contracts well."""
+
+    factorization: Any
+    values: Float[Array, " m"]
+    """The matrix that was factored, where factorizations are reused."""
+    stale: Bool[Array, ""]
+    """The factorization must not be used again."""
+    contraction: Float[Array, ""]
+    """By which corrections shrank that a factorization of an earlier step gave."""
+    hard: Int[Array, ""]
+    """Of the last step. 1: its own factorizations contracted slowly; 2: it took many full iterations."""
+
+
+class Solved(NamedTuple):
+    """What an iteration found."""
+
+    free: Float[Array, " nf"]
+    result: Int[Array, ""]
+    iterations: Int[Array, ""]
+    factorizations: Int[Array, ""]
+    correction: Float[Array, ""]
+
+
+class Correction(NamedTuple):
+    """A solution of the linearised equations, scaled down where it turns a node too far."""
+
+    step: Float[Array, " nf"]
+    """What is added to the iterate, whole or in part."""
+    damping: Float[Array, ""]
+    """The fraction of `step` that is added."""
+    length: Float[Array, ""]
+    """Largest entry of `step`, scaled."""
+    ratio: Float[Array, ""]
+    """`length` over that of the correction before it, 1 at first."""
+    finite: Bool[Array, ""]
+    huge: Bool[Array, ""]
+    """One to give up at, but for its being scaled down."""
+
+    @property
+    def whole(self) -> Bool[Array, ""]:
+        return self.damping == 1.0
+
+    @property
+    def measured(self) -> Float[Array, ""]:
+        """`length`, infinite where the correction was scaled down and says nothing of convergence."""
+        return jnp.where(self.whole, self.length, jnp.inf)
+
+    def hopeless(self, again: Bool[Array, ""]) -> Bool[Array, ""]:
+        """Diverged: not finite, or huge even when scaled down, or huge `again`.
+
+        Once it may come from an iterate whose matrix happens to be all but singular.
+        """
+        return ~self.finite | (self.huge & (again | (self.damping * self.length > _GIVE_UP)))
+
+    def failure(self) -> Int[Array, ""]:
+        """The result code of a hopeless correction."""
+        return jnp.where(self.finite, DIVERGED, SINGULAR)
+
+
+class Measure(NamedTuple):
+    """What corrections and residuals are measured with."""
+
+    size: Float[Array, ""]
+    """The shell's size [length]."""
+    rotates: Bool[Array, " nf"]
+    """Which free degrees of freedom are rotations."""
+    max_rotation: Float[Array, ""] | float
+    """A correction is scaled down so that no nodal rotation in it exceeds this [rad]."""
+
+    def correction(self, step, before) -> Correction:
+        """`step` (nf,) and how it compares; `before` is what the last one `measured`, infinite if there is none."""
+        turn = jnp.max(jnp.where(self.rotates, jnp.abs(step), 0.0), initial=0.0)
+        damping = jnp.minimum(1.0, self.max_rotation / jnp.where(turn > 0, turn, 1.0))
+        damping = jnp.where(turn > 0, damping, 1.0)
+        scale = jnp.where(self.rotates, 1.0, 1.0 / self.size)
+        length = jnp.max(jnp.abs(scale * step))
+        ratio = jnp.where(jnp.isfinite(before), length / before, 1.0)
+        return Correction(step, damping, length, ratio, jnp.isfinite(length), length > _GIVE_UP)
+
+    def residual(self, problem: Problem, free):
+        """(free residual, its largest entry over the largest force in balance, for forces and moments apart)."""
+        balance = problem.balance(free)
+        r = problem.free(balance.residual)
+        force = jnp.where(balance.force > 0, balance.force, 1.0)
+        moment = jnp.where(balance.moment > 0, balance.moment, 1.0)
+        return r, jnp.max(jnp.abs(r) / jnp.where(self.rotates, moment, force))

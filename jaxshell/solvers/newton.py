@@ -1,0 +1,74 @@
+"""Newton's iteration for one step: its settings, and the derivative of what it finds.
+
+The iteration ends when the correction that WOULD follow is predicted below the tolerance, from the contraction seen
+so far or from the residual, so that no solve is spent only to see that it was small. A failed iteration is a result
+with its numbers, never a NaN. There are two: `jaxshell.solvers.full_newton` and `jaxshell.solvers.chord_newton`.
+"""
+
+import functools
+
+import equinox as eqx
+import jax
+
+from jaxshell.numerics.checks import check_positive
+from jaxshell.solvers import chord_newton, full_newton
+from jaxshell.solvers.iteration import Linear, Measure, Memory, Problem
+from jaxshell.solvers.linear_solver import linear_solve
+
+
+class Newton(eqx.Module):
+    """How a step's nonlinear equations are solved.
+
+    Arguments:
+        tolerance: of the scaled correction (fraction of the shell's size, radians); with criterion="norm" of the
+            Euclidean norm of the raw correction ‖ΔQ‖, in the user's units.
+        max_iterations: corrections allowed in a step; and as many again where kept factorizations failed and the
+            step is done anew without them.
+        max_rotation: a correction is scaled down so that no nodal rotation in it exceeds this [rad].
+        reuse: keep a factorization over iterations and steps while it contracts well (chord Newton): more
+            corrections, each far cheaper, and a predicted one a hundred times below the tolerance at the end.
+            False factors in every iteration, which statics does by default.
+        criterion: "predicted" (the correction that would follow) or "norm" (‖ΔQ‖ of the last one, as the paper
+            does with 1e-6).
+
+    Raises ValueError for values that are not positive and unknown criteria.
+    """
+
+    tolerance: float = 1e-8
+    max_iterations: int = eqx.field(static=True, default=25)
+    max_rotation: float = 0.3
+    reuse: bool = eqx.field(static=True, default=True)
+    criterion: str = eqx.field(static=True, default="predicted")
+
+    def __check_init__(self):
+        check_positive("Newton tolerance", self.tolerance)
+        check_positive("Newton max_rotation", self.max_rotation)
+        check_positive("Newton max_iterations", self.max_iterations)
+        if self.criterion not in ("predicted", "norm"):
+            raise ValueError(f'Newton criterion must be "predicted" or "norm", but it is {self.criterion!r}.')
+
+    def solve(self, problem: Problem, guess, size, rotates, linear: Linear, memory: Memory):
+        """Iterate from `guess` (nf,): (Solved, Memory for the next step).
+
+        `size` [length] and the mask `rotates` (nf,) scale the corrections. Not to be differentiated: see
+        `attach_derivative`.
+        """
+        iterate = chord_newton.iterate if self.reuse else full_newton.iterate
+        return iterate(self, problem, guess, Measure(size, rotates, self.max_rotation), linear, memory)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def attach_derivative(solver, handle, free, residual, values):
+    """`free`, with the derivative of the solution of residual(free; parameters) = 0.
+
+    `residual` (nf,) and `values` (the matrix ∂residual/∂free) are evaluated at `free` with it held fixed. By
+    the implicit function theorem d free = -K⁻¹ d residual; where nothing is differentiated neither is used,
+    and XLA leaves them out.
+    """
+    return free
+
+
+@attach_derivative.defjvp
+def _implicit(solver, primals, tangents):
+    handle, free, _, values = primals
+    return free, -linear_solve(solver, handle, values, tangents[2])
