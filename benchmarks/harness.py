@@ -3,7 +3,7 @@
 Same mesh, same Δt, same window from the start, tolerance 1e-8. Every round asks each program once, in turn, and
 the median of the rounds counts: on a noisy machine the ratios hold. Each figure says how many cores the program
 was pinned to. The result, JSON, goes to benchmarks/results/speed.json; `--smoke` tries all of it on a tiny scene.
-Peers live in an environment of their own: `pip install jaxshell[peers]`.
+Peers live in an environment of their own: `pip install '.[peers]'`.
 
 What the tolerance means: for jaxshell the next correction, over the shell's size and in radians. For Kratos the
 correction over the displacements so far (its users' way; "kratos") or on our scale ("kratos, our scale"). For

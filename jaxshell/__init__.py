@@ -7,13 +7,14 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from jaxshell import scenes
+    from jaxshell import gradients, methods, plotting, scenes
     from jaxshell.analyses.arc_length import solve_arc_length
     from jaxshell.analyses.driver import SimulationError
     from jaxshell.analyses.modal import BucklingModes, Modes, linear_buckling, natural_frequencies
     from jaxshell.analyses.simulation import simulate
     from jaxshell.analyses.statics import reactions, solve_static
     from jaxshell.analyses.step_control import StepControl
+    from jaxshell.gradients import Checkpointed, Stored
     from jaxshell.methods import (
         HHT,
         Bathe,
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from jaxshell.solvers.linear_solver import KLU, Dense, Pardiso
     from jaxshell.solvers.newton import Newton
 
+    __version__: str
+
 __all__ = [
     "HHT",
     "KLU",
@@ -40,6 +43,7 @@ __all__ = [
     "Bathe",
     "BucklingModes",
     "CentralDifference",
+    "Checkpointed",
     "Dense",
     "EdgeForce",
     "Energy",
@@ -65,11 +69,15 @@ __all__ = [
     "SimulationError",
     "Solution",
     "StepControl",
+    "Stored",
     "Support",
     "clamped",
+    "gradients",
     "linear_buckling",
+    "methods",
     "natural_frequencies",
     "pinned",
+    "plotting",
     "reactions",
     "scenes",
     "simulate",
@@ -85,7 +93,9 @@ _HOMES = {
     "solvers.linear_solver": ["KLU", "Dense", "Pardiso"],
     "model.loads": ["EdgeForce", "Gravity", "History", "NodalForce", "NodalMoment", "NormalForce", "Pressure"],
     "model.mesh": ["Mesh", "structured_triangles"],
+    "gradients": ["gradients", "Checkpointed", "Stored"],
     "methods": [
+        "methods",
         "HHT",
         "Bathe",
         "CentralDifference",
@@ -98,6 +108,7 @@ _HOMES = {
     "solvers.newton": ["Newton"],
     "results.output": ["Output"],
     "model.scene": ["Initial", "Scene"],
+    "plotting": ["plotting"],
     "scenes": ["scenes"],
     "model.sections": ["Section"],
     "analyses.simulation": ["simulate"],
@@ -106,11 +117,15 @@ _HOMES = {
     "analyses.step_control": ["StepControl"],
     "model.supports": ["Support", "clamped", "pinned", "symmetry"],
 }
-"""The public names by their modules. None but `scenes` is a module's own name: importing a module sets that name."""
+"""The public names by their modules. A package's own name stands for the package."""
 
 if not TYPE_CHECKING:  # a type checker that saw `__getattr__` would take every name for known
 
     def __getattr__(name):
+        if name == "__version__":
+            from jaxshell.version import version
+
+            return version()
         for home, names in _HOMES.items():
             if name in names:
                 module = importlib.import_module(f"jaxshell.{home}")

@@ -17,7 +17,7 @@ from jaxshell.advice.chart import Configuration, Point  # noqa: E402
 from jaxshell.advice.references import Reference  # noqa: E402
 from jaxshell.advice.text import command_line, describe, run_section  # noqa: E402
 from jaxshell.command.cli import main  # noqa: E402
-from jaxshell.files.scene_file import RUN_KEYS  # noqa: E402
+from jaxshell.files.run_keys import KEYS  # noqa: E402
 from jaxshell.numerics.rotations import exp  # noqa: E402
 from jaxshell.plotting import work_precision  # noqa: E402
 
@@ -237,7 +237,7 @@ def test_step_control_where_it_is_cheapest(pretend):
     assert f"js.StepControl({tolerance:g}, initial=1)" in describe(cap(), advice)
     assert f"--dt 1 --step-tolerance {tolerance:g}" in command_line("cap", advice)
     run = tomllib.loads(run_section(cap(), advice))["run"]
-    assert set(run) <= set(RUN_KEYS) and run["step_tolerance"] == pytest.approx(tolerance)
+    assert set(run) <= set(KEYS) and run["step_tolerance"] == pytest.approx(tolerance)
 
 
 def test_fewer_elements_where_they_suffice(pretend, monkeypatch):
@@ -267,7 +267,7 @@ def test_command_writes_a_run_section_that_scene_files_take(pretend, monkeypatch
     file = tmp_path / "run.toml"
     assert main(["advise", "cap", "--tolerance", "0.1", "--dt", "1", "--output", str(file), "--quiet"]) == 0
     run = tomllib.loads(file.read_text())["run"]
-    assert set(run) <= set(RUN_KEYS)
+    assert set(run) <= set(KEYS)
     assert (run["method"], run["inertia"], run["dt"], run["newton_tolerance"]) == ("EMC", "none", 0.25, 1e-6)
     command = "jaxshell run cap --method EMC --inertia none --dt 0.25 --newton-tolerance 1e-06\n"
     assert command in capsys.readouterr().out

@@ -307,8 +307,8 @@ def test_module_runs_as_a_command_without_matplotlib(tmp_path):
 
 def test_the_scene_gives_its_methods_their_parameters():
     plate = PAPER["plate"]()
-    assert list(choose_methods(plate, [], None, None)) == ["EMC"]
-    chosen: Any = choose_methods(plate, ["all"], None, None)
+    assert list(choose_methods(plate, [])) == ["EMC"]
+    chosen: Any = choose_methods(plate, ["all"])
     parameters = [(float(m.spectral_radius), float(m.dissipation)) for m in chosen.values()]
     assert list(chosen) == ["EMC", "EDMC1", "EDMC2"]
     assert parameters == [(1.0, 0.0), (0.95, 0.0), (1.0, 0.02)]
@@ -316,16 +316,16 @@ def test_the_scene_gives_its_methods_their_parameters():
 
 def test_other_methods_go_by_their_class():
     cap = PAPER["cap"]()
-    assert choose_methods(cap, ["Newmark"], None, None) == {"Newmark": Newmark()}
+    assert choose_methods(cap, ["Newmark"]) == {"Newmark": Newmark()}
     with pytest.raises(ValueError, match="The method 'newmark' has no spectral_radius"):
-        choose_methods(cap, ["Newmark"], 0.5, None)
+        choose_methods(cap, ["Newmark"], {"spectral_radius": 0.5})
 
 
 def test_labels_say_what_differs_from_the_named_methods():
     cap = PAPER["cap"]()
-    (label,) = choose_methods(cap, ["EMC"], 0.9, 0.01)
+    (label,) = choose_methods(cap, ["EMC"], {"spectral_radius": 0.9, "dissipation": 0.01})
     assert label == "EDMC, ρ∞ = 0.9, ξ = 0.01"
-    (label,) = choose_methods(cap, ["EMC"], 0.8, None)
+    (label,) = choose_methods(cap, ["EMC"], {"spectral_radius": 0.8})
     assert label == "EDMC1"
 
 

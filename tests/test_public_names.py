@@ -34,7 +34,17 @@ def test_a_type_checker_sees_the_names_where_they_are_found():
 def test_no_public_name_is_a_modules():
     """Importing jaxshell.x sets the package's x: a function of that name would be gone."""
     modules = {module.name for module in pkgutil.iter_modules(js.__path__)}
-    assert modules & set(js.__all__) == {"scenes"}
+    assert modules & set(js.__all__) == {"gradients", "methods", "plotting", "scenes"}
+
+
+def test_packages_that_the_docs_teach_and_the_version():
+    fresh(
+        "import jaxshell as js\n"
+        "assert js.methods.Newmark is js.Newmark and js.gradients.Stored is js.Stored\n"
+        "assert callable(js.plotting.plot) and 'cap' in js.scenes.PAPER\n"
+        "from importlib.metadata import version\n"
+        "assert js.__version__ == version('jaxshell')\n"
+    )
 
 
 def test_unknown_name():

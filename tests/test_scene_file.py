@@ -38,7 +38,7 @@ def read(tmp_path, text: str):
 def test_example():
     scene: Any
     scene, run = read_scene_file(EXAMPLE)
-    assert (scene.name, scene.mesh.n_elements, run["method"], run["dt"]) == ("cantilever", 80, "EMC", 0.02)
+    assert (scene.name, scene.mesh.n_elements, run.method, run.dt) == ("cantilever", 80, ("EMC",), 0.02)
     assert np.all(np.asarray(scene.mesh.nodes)[scene.supports[0].nodes.array, 0] == 0)
     force = scene.loads[0].nodal(scene.mesh.nodes, scene.mesh.triangles, 0.0)
     assert np.allclose(force.sum(axis=0), [0, 0, 4, 0, 0, 0])
@@ -99,7 +99,7 @@ velocity = [1, 2, 3]
     assert float(scene.loads[4].history(1.0)) == 0.5
     assert scene.initial is not None and np.allclose(np.asarray(scene.initial.velocities), [1, 2, 3])
     assert scene.watch == (("a point", 3, "vx"),)
-    assert run == {} and scene.defaults is None and scene.name == "scene"
+    assert run.said() == {} and scene.defaults is None and scene.name == "scene"
 
 
 def test_mesh_file_beside_the_scene(tmp_path):

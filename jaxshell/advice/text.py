@@ -1,4 +1,4 @@
-"""What `jaxshell.advice.advise` found, and how it is told: in words, as a call, a command, or a scene file's section."""
+"""What `advise` found, and how it is told: in words, as a call, a command, or a scene file's section."""
 
 from typing import NamedTuple
 

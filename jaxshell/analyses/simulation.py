@@ -117,8 +117,9 @@ def simulate(
             )
         return run_traced(setup, steps, Stored() if gradients is None else gradients, throw, restart=restart)
     duration = steps.stops[-1] if isinstance(steps, Controlled) else np.sum(steps)
+    asked = {} if linear_solver is None else {"linear_solver": type(linear_solver).__name__.lower()}
     with Progress(float(duration), enabled=progress) as bar:
-        solution = _driven_run(setup, steps, output, bar, restart)
+        solution = _driven_run(setup, steps, output, bar, restart, asked)
     if throw and solution.message:
         raise SimulationError(solution.message, solution)
     return solution
@@ -144,13 +145,14 @@ class Chunk(NamedTuple):
     """Steps accepted and rejected until then, under step control."""
 
 
-def _driven_run(setup: Setup, steps, output, bar, restart) -> Solution:
+def _driven_run(setup: Setup, steps, output, bar, restart, asked: dict) -> Solution:
     begun, first_chunk = time.perf_counter(), 0.0
     model, carry, record, frame = setup.prepare()
     carry, record, frame, start = resumed(model, setup.plan, carry, record, frame, restart)
     controlled = isinstance(steps, Controlled)
     chunks = (_controlled_chunks if controlled else _fixed_chunks)(setup.plan, model, carry, steps, start)
     settings = {
+        **asked,
         "dt": quote(steps.control) if controlled else float(steps[0]),
         "t_end": float(start + (steps.stops[-1] if controlled else np.sum(steps))),
     }

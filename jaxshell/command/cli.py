@@ -12,15 +12,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from jaxshell.command.run_settings import (
+    arguments_of_simulate,
     chosen_methods,
-    chosen_newton,
+    first_step,
     one_thread_for_small_meshes,
     open_scene,
+    required,
+    settled,
     solution_to_go_on_from,
-    step_control,
-    wanted,
     what_is_left,
+    with_picture_times,
 )
+from jaxshell.files.run_keys import add_options
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -47,38 +50,9 @@ def _parser() -> argparse.ArgumentParser:
     run.set_defaults(command=_run)
     run.add_argument("scene", metavar="SCENE", help="a scene's name (see `jaxshell scenes`), a .toml or .h5 file")
     run.add_argument(
-        "--method",
-        nargs="+",
-        metavar="NAME",
-        help="EMC, EDMC1, EDMC2, exact, a class of jaxshell.methods, or all for the paper's three; "
-        "several are drawn together (default: EMC)",
-    )
-    run.add_argument("--dt", type=float, help="time step (default: the scene's)")
-    run.add_argument(
-        "--step-tolerance",
-        type=float,
-        metavar="TOL",
-        help="choose the steps by their local error, as a part of the shell's size; --dt is the first",
-    )
-    run.add_argument(
         "--divisions", type=int, nargs="+", metavar="N", help="divisions of the mesh (library scenes only)"
     )
-    run.add_argument("--t-end", type=float, help="duration (default: the scene's)")
-    run.add_argument("--save-every", type=int, metavar="N", help="steps between frames (default: the scene's)")
-    run.add_argument("--spectral-radius", type=float, metavar="RHO", help="in place of the method's")
-    run.add_argument("--dissipation", type=float, metavar="XI", help="in place of the method's")
-    run.add_argument("--tangent", choices=("closed_form", "autodiff"), help="default: closed_form")
-    run.add_argument(
-        "--inertia",
-        choices=("seven_point", "traditional", "none"),
-        help="rotary inertia, in place of the method's",
-    )
-    run.add_argument("--newton-tolerance", type=float, metavar="TOL", help="default: 1e-8")
-    run.add_argument(
-        "--newton-reuse",
-        action=argparse.BooleanOptionalAction,
-        help="keep factors over iterations and steps while they serve (default: yes)",
-    )
+    add_options(run)
     run.add_argument("--output", type=Path, default=Path("."), metavar="DIR", help="where files go (default: here)")
     run.add_argument(
         "--continue",
@@ -104,7 +78,9 @@ def _parser() -> argparse.ArgumentParser:
     for command in (chart, advise):
         command.add_argument("scene", metavar="SCENE", help="a scene's name, a .toml or .h5 file")
         command.add_argument("--dt", type=float, help="step to start from (default: the scene's)")
-        command.add_argument("--t-end", type=float, help="time that trials cover (default: see the manual)")
+        command.add_argument(
+            "--t-end", type=float, help="time that trials cover (default: the reference's, or 100 steps)"
+        )
         command.add_argument("--quiet", action="store_true", help="print the outcome only")
 
     scenes = commands.add_parser("scenes", help="list the scenes that `run` knows by name")
@@ -130,18 +106,16 @@ def _run(options: argparse.Namespace) -> int:
     from jaxshell.command.report import describe_run, describe_scene
     from jaxshell.results.solution import RESULTS
 
-    scene, settings, stem = open_scene(options.scene, options.divisions)
+    scene, of_file, stem = open_scene(options.scene, options.divisions)
     restart = None
     if options.go_on:
         restart, stem = solution_to_go_on_from(options), f"{Path(options.scene).stem}_continued"
-    methods = chosen_methods(options, settings, scene)
-    dt, t_end, save_every = (wanted(options, settings, scene, key) for key in ("dt", "t_end", "save_every"))
+    settings = settled(options, of_file, scene)
+    scene = with_picture_times(scene, settings)
+    methods, arguments = chosen_methods(settings, scene), arguments_of_simulate(settings)
+    t_end = required(settings, "t_end")
     if restart is not None and options.t_end is None:
         t_end = what_is_left(restart, t_end)
-    dt = step_control(options, settings, dt) or dt
-    tangent = options.tangent or settings.get("tangent", "closed_form")
-    newton = chosen_newton(options, settings)
-
     options.output.mkdir(parents=True, exist_ok=True)
     say = (lambda *_: None) if options.quiet else print
     say(describe_scene(scene))
@@ -152,12 +126,8 @@ def _run(options: argparse.Namespace) -> int:
             solution = simulate(
                 scene,
                 method,
-                dt=dt,
                 t_end=t_end,
-                save_every=save_every,
-                tangent=tangent,
-                newton=newton,
-                reactions=settings.get("reactions", False),
+                **arguments,
                 restart=restart,
                 throw=False,
                 progress=sys.stderr.isatty() and not options.quiet,
@@ -216,8 +186,8 @@ def _chart(options: argparse.Namespace) -> int:
     from jaxshell.plotting.work_precision import draw
     from jaxshell.scenes import PAPER
 
-    scene, settings, stem = open_scene(options.scene)
-    dt = wanted(options, settings, scene, "dt")
+    scene, of_file, stem = open_scene(options.scene)
+    dt = first_step(options, of_file, scene)
     options.output.mkdir(parents=True, exist_ok=True)
     say = (lambda *_: None) if options.quiet else lambda text: print(text, flush=True)
     points, reference = chart(scene, dt, default_window(scene, dt, options.t_end), say=say)
@@ -237,8 +207,8 @@ def _advise(options: argparse.Namespace) -> int:
     from jaxshell.advice.text import command_line, describe, run_section
     from jaxshell.scenes import PAPER
 
-    scene, settings, _ = open_scene(options.scene)
-    dt = wanted(options, settings, scene, "dt")
+    scene, of_file, _ = open_scene(options.scene)
+    dt = first_step(options, of_file, scene)
     say = (lambda *_: None) if options.quiet else lambda text: print(text, flush=True)
     advice = advise(scene, options.tolerance, dt, options.t_end, say, make=PAPER.get(options.scene))
     print(describe(scene, advice))

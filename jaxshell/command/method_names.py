@@ -6,7 +6,7 @@ method goes by its class's name.
 """
 
 import inspect
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxshell import methods
@@ -18,16 +18,18 @@ _PAPER = (("EMC", 1.0, 0.0), ("EDMC1", 0.8, 0.0), ("EDMC2", 1.0, 0.05))
 """(name, ρ∞, ξ) where a scene does not say otherwise: those of the paper's first scene."""
 
 
-def choose_methods(
-    scene: Scene, names: Sequence[str], spectral_radius: float | None, dissipation: float | None
-) -> dict[str, Any]:
+_EXACT = "exact"
+_CLASS_OF_EXACT = {"energymomentum": _EXACT}
+
+
+def choose_methods(scene: Scene, names: Sequence[str], parameters: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """{label: method} for names such as ["EMC", "exact"], or ["all"] for all of the paper's.
 
-    No name is the scene's first. `spectral_radius` and `dissipation` replace the name's own, for one method.
-    Raises ValueError for an unknown name, and for parameters given to several methods.
+    No name is the scene's first. `parameters` replace the names' own; numbers among them for one method only. Raises
+    ValueError for an unknown name, and for parameters that a method does not have.
     """
-    named, classes = _named(scene), _classes()
-    wanted = [name.lower() for name in names] or [next(iter(named))]
+    named, classes, given = _named(scene), _classes(), dict(parameters or {})
+    wanted = [_CLASS_OF_EXACT.get(name.lower(), name.lower()) for name in names] or [next(iter(named))]
     if "all" in wanted:
         wanted = list(named)
     wanted = list(dict.fromkeys(wanted))
@@ -36,21 +38,20 @@ def choose_methods(
             others = [other for other in classes if classes[other] is not _PAPER_CLASS]
             choices = [label for label, _, _ in named.values()] + others + ["all"]
             raise ValueError(f"There is no method {name!r}. Choose out of {', '.join(choices)}.")
-    given = {"spectral_radius": spectral_radius, "dissipation": dissipation}
-    given = {key: value for key, value in given.items() if value is not None}
-    if len(wanted) > 1 and given:
-        raise ValueError("A spectral radius or dissipation can be given for one method at a time.")
+    numbers = [key for key, value in given.items() if not isinstance(value, str)]
+    if len(wanted) > 1 and numbers:
+        raise ValueError(f"{numbers[0]} can be given for one method at a time.")
     found = {}
     for name in wanted:
         if name in named:
             _, radius, xi = named[name]
-            kind, parameters = _PAPER_CLASS, {"spectral_radius": radius, "dissipation": xi}
+            kind, own = _PAPER_CLASS, {"spectral_radius": radius, "dissipation": xi}
         else:
-            kind, parameters = classes[name], {}
+            kind, own = classes[name], {}
         for key in given:
             if key not in kind.__dataclass_fields__:
                 raise ValueError(f"The method {name!r} has no {key}.")
-        method = kind(**parameters | given)
+        method = kind(**own | given)
         found[method_label(method, scene)] = method
     return found
 
@@ -60,7 +61,7 @@ def method_label(method: methods.Method, scene: Scene) -> str:
     kind = type(method).__name__
     xi = float(getattr(method, "dissipation", 0.0))
     if kind == "EnergyMomentum":
-        return f"exact, ξ = {xi:g}" if xi else "exact"
+        return f"{_EXACT}, ξ = {xi:g}" if xi else _EXACT
     if kind != "GeneralizedEnergyMomentum":
         return kind
     radius = float(getattr(method, "spectral_radius", 1.0))
@@ -90,5 +91,5 @@ def _classes() -> dict[str, Any]:
     found = [getattr(methods, name) for name in methods.__all__]
     classes = {kind.__name__.lower(): kind for kind in found if not inspect.isabstract(kind)}
     if "energymomentum" in classes:
-        classes["exact"] = classes.pop("energymomentum")
+        classes[_EXACT] = classes.pop("energymomentum")
     return classes

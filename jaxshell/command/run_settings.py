@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxshell.files.run_keys import METHOD_KEYS, STEP_KEYS, RunSettings
+
 _RESULT_FILES = (".h5", ".hdf5")
 SMALL = 500
 """Elements below which XLA's second thread costs more than it brings (docs/performance.md, "Size and threads")."""
@@ -52,9 +54,9 @@ def open_scene(name: str, divisions: Sequence[int] | None = None):
 
     path = Path(name)
     if name in BY_NAME and divisions is not None:
-        return BY_NAME[name](divisions=_counts(name, divisions)), {}, name
+        return BY_NAME[name](divisions=_counts(name, divisions)), RunSettings(), name
     if name in BY_NAME:
-        return BY_NAME[name](), {}, name
+        return BY_NAME[name](), RunSettings(), name
     if divisions is not None:
         raise ValueError(f"--divisions is for the library's scenes ({', '.join(BY_NAME)}), not for files: {name!r}.")
     if path.suffix == ".toml":
@@ -65,29 +67,11 @@ def open_scene(name: str, divisions: Sequence[int] | None = None):
         from jaxshell.results.hdf5 import read_scene, read_settings
 
         # Under another name, so that the results that are run again stay.
-        return read_scene(path), _as_in_scene_files(read_settings(path)), f"{path.stem}_rerun"
+        return read_scene(path), RunSettings.from_result_file(read_settings(path)), f"{path.stem}_rerun"
     raise ValueError(
         f"There is no scene {name!r}. Choose out of {', '.join(BY_NAME)}, or name a .toml scene file "
         "or an .h5 result file."
     )
-
-
-def _as_in_scene_files(settings: dict) -> dict:
-    """A result file's settings by the names that [run] has; Newton and step control as objects."""
-    from jaxshell.analyses.step_control import StepControl
-    from jaxshell.files.quoted import unquote
-    from jaxshell.solvers.newton import Newton
-
-    quoted = settings.get("method", "")
-    if quoted.startswith("Static("):
-        return {}  # Nothing of it fits a run in time.
-    found = {key: value for key, value in settings.items() if key != "method"} | {"quoted_method": quoted}
-    if "newton" in settings:
-        found["made_newton"] = unquote(settings["newton"], {"Newton": Newton})
-    if isinstance(settings.get("dt"), str):
-        control = unquote(settings["dt"], {"StepControl": StepControl})
-        found |= {"made_control": control, "dt": control.initial}
-    return found
 
 
 def _counts(name: str, divisions: Sequence[int]):
@@ -101,67 +85,83 @@ def _counts(name: str, divisions: Sequence[int]):
     return tuple(divisions) if count > 1 else divisions[0]
 
 
-def wanted(options: argparse.Namespace, settings: dict, scene, key: str):
-    """A setting: from the command line, else from the file, else the scene's default."""
-    for value in (getattr(options, key), settings.get(key), getattr(scene.defaults, key, None)):
-        if value is not None:
-            return value
-    if key == "save_every":
-        return 1
-    raise ValueError(f"The scene gives no {key}: add --{key.replace('_', '-')}, or {key} in the file's [run].")
+def settled(options: argparse.Namespace, of_file: RunSettings, scene) -> RunSettings:
+    """What the command line says, else the file, else the scene; dt, t_end and save_every are said then.
+
+    A method on the command line comes with its own parameters. A dt on the command line takes the place of the step
+    control that a result file's run was made with.
+    """
+    given = RunSettings.from_command_line(options)
+    if given.method is not None:
+        of_file = of_file.without(*METHOD_KEYS)
+    if given.dt is not None and given.step_tolerance is None and Path(options.scene).suffix in _RESULT_FILES:
+        of_file = of_file.without("step_tolerance", *STEP_KEYS)
+    return RunSettings(save_every=1) | _of_scene(scene) | of_file | given
 
 
-def chosen_methods(options: argparse.Namespace, settings: dict, scene) -> dict[str, Any]:
-    """{label: method}; parameters and inertia given on the command line replace the file's."""
-    from jaxshell.command.method_names import choose_methods, method_label, parse_method
-
-    names = options.method or settings.get("method", [])
-    names = [names] if isinstance(names, str) else names
-    keys = ("spectral_radius", "dissipation")
-    given = {key: getattr(options, key) for key in keys if getattr(options, key) is not None}
-    if "quoted_method" in settings and not options.method:
-        method = parse_method(settings["quoted_method"])
-        for key in given:
-            if not hasattr(method, key):
-                raise ValueError(f"The file's method, {type(method).__name__}, has no {key}.")
-        method = dataclasses.replace(method, **given)
-        methods = {method_label(method, scene): method}
-    else:
-        own = {} if options.method else {key: settings[key] for key in keys if key in settings}
-        given = dict.fromkeys(keys) | own | given
-        methods = choose_methods(scene, names, **given)
-    form = options.inertia or settings.get("inertia")
-    return {label: _with_inertia(label, method, form) for label, method in methods.items()}
+def first_step(options: argparse.Namespace, of_file: RunSettings, scene) -> float:
+    """dt of a command that takes no other key."""
+    return required(_of_scene(scene) | of_file | RunSettings(dt=options.dt), "dt")
 
 
-def _with_inertia(label: str, method, form: str | None):
-    if form is None:
-        return method
-    if not hasattr(method, "inertia"):
-        raise ValueError(f"The method {label!r} has no choice of inertia.")
-    return dataclasses.replace(method, inertia=form)
+def _of_scene(scene) -> RunSettings:
+    return RunSettings(**{key: getattr(scene.defaults, key, None) for key in ("dt", "t_end", "save_every")})
 
 
-def step_control(options: argparse.Namespace, settings: dict, dt: float):
-    """Step control that starts with `dt`, where the command line or the file asks for it, else None."""
+def with_picture_times(scene, settings: RunSettings):
+    """The scene, drawn at the times of the settings where they say any."""
+    from jaxshell.model.scene import Defaults
+
+    if settings.picture_times is None:
+        return scene
+    defaults = scene.defaults or Defaults(required(settings, "dt"), required(settings, "t_end"))
+    return dataclasses.replace(scene, defaults=defaults._replace(picture_times=settings.picture_times))
+
+
+def required(settings: RunSettings, key: str) -> Any:
+    """A setting that must be said. Raises ValueError where it is not."""
+    value = getattr(settings, key)
+    if value is None:
+        raise ValueError(f"The scene gives no {key}: add --{key.replace('_', '-')}, or {key} in the file's [run].")
+    return value
+
+
+def chosen_methods(settings: RunSettings, scene) -> dict[str, Any]:
+    """{label: method}."""
+    from jaxshell.command.method_names import choose_methods
+
+    parameters = {key: getattr(settings, key) for key in METHOD_KEYS if getattr(settings, key) is not None}
+    return choose_methods(scene, settings.method or (), parameters)
+
+
+def arguments_of_simulate(settings: RunSettings) -> dict[str, Any]:
+    """What the settings say besides the method and t_end, as arguments of `simulate`."""
     from jaxshell.analyses.step_control import StepControl
-
-    tolerance = options.step_tolerance or settings.get("step_tolerance")
-    if tolerance is not None:
-        return StepControl(tolerance, initial=dt)
-    return settings.get("made_control") if options.dt is None else None
-
-
-def chosen_newton(options: argparse.Namespace, settings: dict):
-    """Newton with what the command line, else the file, says of it."""
+    from jaxshell.solvers import linear_solver
     from jaxshell.solvers.newton import Newton
 
-    given = {}
-    for name, key in (("tolerance", "newton_tolerance"), ("reuse", "newton_reuse")):
-        value = getattr(options, key) if getattr(options, key) is not None else settings.get(key)
-        if value is not None:
-            given[name] = value
-    return dataclasses.replace(settings.get("made_newton") or Newton(), **given)
+    dt: Any = required(settings, "dt")
+    stray = [key for key in STEP_KEYS if getattr(settings, key) is not None]
+    if settings.step_tolerance is None and stray:
+        raise ValueError(f"{stray[0]} is of step control, which step_tolerance switches on.")
+    if settings.step_tolerance is not None:
+        dt = StepControl(settings.step_tolerance, initial=dt, **_of(settings, "step_", skip="tolerance"))
+    solvers = {"pardiso": linear_solver.Pardiso, "klu": linear_solver.KLU, "dense": linear_solver.Dense}
+    return {
+        "dt": dt,
+        "save_every": settings.save_every,
+        "tangent": settings.tangent or "closed_form",
+        "newton": Newton(**_of(settings, "newton_")),
+        "reactions": bool(settings.reactions),
+        "linear_solver": None if settings.linear_solver is None else solvers[settings.linear_solver](),
+    }
+
+
+def _of(settings: RunSettings, prefix: str, skip: str = "") -> dict[str, Any]:
+    """The keys with a prefix, without it."""
+    said = {key.removeprefix(prefix): value for key, value in settings.said().items() if key.startswith(prefix)}
+    said.pop(skip, None)
+    return said
 
 
 def solution_to_go_on_from(options: argparse.Namespace):

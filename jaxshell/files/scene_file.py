@@ -8,8 +8,8 @@
                    force, moment, acceleration, pressure or magnitude; history
     [watch]        label = { nearest or node, component }
     [initial]      velocity, angular_velocity, about: a rigid motion
-    [run]          method, spectral_radius, dissipation, inertia, dt, t_end, save_every, tangent, picture_times,
-                   newton_tolerance, newton_reuse, step_tolerance (step control, started with dt)
+    [run]          how it is run: the keys of `jaxshell.files.run_keys.RunSettings`, method, dt, t_end, save_every,
+                   step_tolerance (step control, started with dt), reactions, ...
 
 Nodes are chosen by `nodes = [...]`, `nearest = [x, y, z]`, `plane = { x = 0.0 }`, `box = [[low], [high]]` or
 `boundary = true`; several of these together choose what fulfils all. A history is `{ times, values }` or
@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxshell.files.run_keys import RunSettings
 from jaxshell.model.generators import GENERATORS
 from jaxshell.model.history import History
 from jaxshell.model.loads import LOADS, Load
@@ -31,10 +32,6 @@ from jaxshell.model.scene import Defaults, Initial, Scene
 from jaxshell.model.sections import SECTIONS, AnySection, Section
 from jaxshell.model.supports import ALL, Support, symmetry
 
-RUN_KEYS = (
-    "method", "spectral_radius", "dissipation", "inertia", "dt", "t_end", "save_every", "tangent",
-    "picture_times", "newton_tolerance", "newton_reuse", "step_tolerance",
-)  # fmt: skip
 _SELECTORS = ("nodes", "nearest", "plane", "box", "boundary")
 _LOADS = {load.kind: load for load in LOADS}
 _SECTIONS = {section.kind: section for section in SECTIONS}
@@ -42,8 +39,8 @@ _SYMMETRY = {f"symmetry {normal}": symmetry([0], normal).dofs for normal in "xyz
 _HOLD = {"clamped": ALL, "pinned": ("ux", "uy", "uz"), **_SYMMETRY}
 
 
-def read_scene_file(path) -> tuple[Scene, dict]:
-    """The scene of a TOML file, and its [run] table as it stands there (method, dt, t_end, ...).
+def read_scene_file(path) -> tuple[Scene, RunSettings]:
+    """The scene of a TOML file, and what its [run] table says (method, dt, t_end, ...).
 
     A mesh file's path is relative to the scene file. Raises FileNotFoundError; ValueError naming the file and
     the table for whatever is wrong in it, unknown keys included.
@@ -61,13 +58,13 @@ def read_scene_file(path) -> tuple[Scene, dict]:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _scene(content: dict, path: Path) -> tuple[Scene, dict]:
+def _scene(content: dict, path: Path) -> tuple[Scene, RunSettings]:
     top = _Table("the file", content)
     known = ("name", "units", "mesh", "section", "supports", "loads", "watch", "initial", "run")
     top.only(*known)
     mesh = _mesh(top.table("mesh"), path.parent)
     run = top.table("run", optional=True)
-    run.only(*RUN_KEYS)
+    settings = RunSettings.from_table(run.content)
     scene = Scene(
         mesh,
         _section(top.table("section")),
@@ -76,9 +73,9 @@ def _scene(content: dict, path: Path) -> tuple[Scene, dict]:
         initial=_initial(top.table("initial", optional=True), mesh),
         name=str(content.get("name", path.stem)),
         watch=_watch(top.table("watch", optional=True), mesh),
-        defaults=_defaults(run.content, str(content.get("units", ""))),
+        defaults=_defaults(settings, str(content.get("units", ""))),
     )
-    return scene, dict(run.content)
+    return scene, settings
 
 
 def _mesh(table: "_Table", folder: Path) -> Mesh:
@@ -107,7 +104,7 @@ def _section(table: "_Table") -> AnySection:
         raise ValueError(f"{table.name} kind must be one of {choices}, but it is {name!r}.")
     section = _SECTIONS[name]
     fields = [field for field in dataclasses.fields(section) if field.init]
-    table.only("kind", *(field.name for field in fields))
+    table.only(*(field.name for field in fields), "kind")
     for field in fields:
         if field.default is dataclasses.MISSING:
             table.get(field.name)
@@ -178,13 +175,13 @@ def _initial(table: "_Table", mesh: Mesh) -> Initial | None:
     return table.call(Initial.rigid, mesh, **{name: table.vectors(name, (3,)) for name in table.content})
 
 
-def _defaults(run: dict, units: str) -> Defaults | None:
+def _defaults(run: RunSettings, units: str) -> Defaults | None:
     if units not in ("", "SI"):
         raise ValueError(f'units must be "SI" or left out, but it is {units!r}.')
-    if "dt" not in run or "t_end" not in run:
+    if run.dt is None or run.t_end is None:
         return None
-    times = tuple(float(t) for t in run.get("picture_times", ()))
-    return Defaults(run["dt"], run["t_end"], run.get("save_every", 1), times, units=units)
+    times = tuple(float(t) for t in run.picture_times or ())
+    return Defaults(run.dt, run.t_end, run.save_every or 1, times, units=units)
 
 
 def _nodes(table: "_Table", mesh: Mesh) -> np.ndarray:

@@ -79,12 +79,12 @@ class Mesh(eqx.Module):
         """Read the triangles of a mesh file (Gmsh, VTK, STL, Abaqus, ...) with meshio.
 
         Nodes that belong to no triangle are dropped. Raises ImportError without meshio
-        (`pip install 'jaxshell[mesh]'`), ValueError when the file holds no triangle.
+        (`pip install meshio`), ValueError when the file holds no triangle.
         """
         try:
             import meshio
         except ImportError as error:
-            raise ImportError("Reading mesh files needs meshio: pip install 'jaxshell[mesh]'.") from error
+            raise ImportError("Reading mesh files needs meshio: pip install meshio.") from error
         content = meshio.read(path)
         triangles = content.cells_dict.get("triangle")
         if triangles is None:

@@ -1,0 +1,188 @@
+"""How a scene is run, in one dataclass: from a scene file's [run] table, a result file, or the command line.
+
+Each field is a key, and the only place that has to know it: its kind checks what files hold and makes the option of the
+command line. This file imports no JAX, since the command line reads it first.
+"""
+
+import argparse
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from jaxshell.files.quoted import parts
+
+_WORDS = {
+    "number": "a number",
+    "count": "a whole number of at least 1",
+    "switch": "true or false",
+    "names": "a name or a list of names",
+    "numbers": "a list of numbers",
+}
+
+
+_SOLVERS = ("pardiso", "klu", "dense")
+
+
+def _key(kind: str, help: str = "", choices: tuple[str, ...] = (), metavar: str | None = None) -> Any:
+    return dataclasses.field(
+        default=None, metadata={"kind": kind, "help": help, "choices": choices, "metavar": metavar}
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class RunSettings:
+    """The keys of a run; None is not said, and then the method's, the scene's or jaxshell's default holds."""
+
+    method: tuple[str, ...] | None = _key(
+        "names",
+        "EMC, EDMC1, EDMC2, exact, a class of jaxshell.methods, or all for the paper's three; several are drawn "
+        "together (default: EMC)",
+        metavar="NAME",
+    )
+    spectral_radius: float | None = _key("number", "ρ∞, in place of the method's", metavar="RHO")
+    dissipation: float | None = _key("number", "ξ, in place of the method's", metavar="XI")
+    inertia: str | None = _key(
+        "choice", "rotary inertia, in place of the method's", ("seven_point", "traditional", "none")
+    )
+    initial_acceleration: str | None = _key(
+        "choice", "accelerations at the start, in place of the method's", ("consistent", "zero")
+    )
+    beta: float | None = _key("number", "Newmark's β")
+    gamma: float | None = _key("number", "Newmark's γ")
+    alpha: float | None = _key("number", "HHT's α")
+    safety: float | None = _key("number", "fraction of the critical step that central differences may take")
+    dt: float | None = _key("number", "time step (default: the scene's)")
+    t_end: float | None = _key("number", "duration (default: the scene's)")
+    save_every: int | None = _key("count", "steps between frames (default: the scene's)", metavar="N")
+    reactions: bool | None = _key("switch", "record what the supports carry (default: no)")
+    tangent: str | None = _key("choice", "default: closed_form", ("closed_form", "autodiff"))
+    linear_solver: str | None = _key("choice", "default: the quickest that this machine has", _SOLVERS)
+    newton_tolerance: float | None = _key("number", "default: 1e-8", metavar="TOL")
+    newton_max_iterations: int | None = _key("count", "corrections allowed in a step (default: 25)", metavar="N")
+    newton_max_rotation: float | None = _key("number", "largest rotation of a correction [rad] (default: 0.3)")
+    newton_reuse: bool | None = _key("switch", "keep factors over iterations and steps while they serve (default: yes)")
+    newton_criterion: str | None = _key("choice", "default: predicted", ("predicted", "norm"))
+    step_tolerance: float | None = _key(
+        "number",
+        "choose the steps by their local error, as a fraction of the shell's size; --dt is the first",
+        metavar="TOL",
+    )
+    step_smallest: float | None = _key("number", "smallest step under step control (default: dt/1e6)")
+    step_largest: float | None = _key("number", "largest step under step control (default: no limit)")
+    step_output_interval: float | None = _key("number", "time between frames under step control")
+    step_horizon: float | None = _key("number", "until when errors count under step control (default: the end)")
+    picture_times: tuple[float, ...] | None = _key("numbers", "times of the shapes that are drawn", metavar="T")
+
+    def __post_init__(self):
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if value is not None:
+                object.__setattr__(self, field.name, _checked(field, value))
+
+    def __or__(self, other: "RunSettings") -> "RunSettings":
+        """These, with what `other` says in place of what they say."""
+        return dataclasses.replace(self, **other.said())
+
+    def said(self) -> dict[str, Any]:
+        """The keys that are not None."""
+        return {name: getattr(self, name) for name in KEYS if getattr(self, name) is not None}
+
+    def without(self, *names: str) -> "RunSettings":
+        """These, with the given keys not said."""
+        return dataclasses.replace(self, **dict.fromkeys(names))
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> "RunSettings":
+        """Of a scene file's [run] table. Raises ValueError naming the key that is unknown or of another kind."""
+        for key in table:
+            if key not in KEYS:
+                raise ValueError(f"[run] has the unknown key {key!r}. Known keys: {', '.join(KEYS)}.")
+        try:
+            return cls(**table)
+        except ValueError as error:
+            raise ValueError(f"[run] {error}") from error
+
+    @classmethod
+    def from_result_file(cls, settings: Mapping[str, Any]) -> "RunSettings":
+        """Of what a result file says about its run; nothing where it is of statics."""
+        name, parameters = parts(settings["method"]) if "method" in settings else ("", {})
+        if name == "Static":
+            return cls()
+        found = {key: settings[key] for key in KEYS if key in settings and key not in ("method", "dt")}
+        if found.get("linear_solver") not in _SOLVERS:
+            found.pop("linear_solver", None)  # what a saved solution says it was solved with
+        found |= {"method": name or None} | parameters
+        _, newton = parts(settings["newton"]) if "newton" in settings else ("", {})
+        found |= {f"newton_{key}": value for key, value in newton.items()}
+        dt = settings.get("dt")
+        if isinstance(dt, str):
+            _, control = parts(dt)
+            dt = control.pop("initial")
+            found |= {f"step_{key}": value for key, value in control.items()}
+        unknown = [key for key in found if key not in KEYS]
+        if unknown:
+            raise ValueError(f"The file's run has {unknown[0]!r}, which this version of jaxshell does not know.")
+        return cls(dt=dt, **found)
+
+    @classmethod
+    def from_command_line(cls, options: argparse.Namespace) -> "RunSettings":
+        """Of the options that `add_options` made."""
+        return cls(**{name: getattr(options, name) for name in KEYS})
+
+
+KEYS = tuple(field.name for field in dataclasses.fields(RunSettings))
+METHOD_KEYS = KEYS[KEYS.index("spectral_radius") : KEYS.index("dt")]
+"""Parameters of methods."""
+STEP_KEYS = ("step_smallest", "step_largest", "step_output_interval", "step_horizon")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """An option for every key."""
+    for field in dataclasses.fields(RunSettings):
+        kind, choices = field.metadata["kind"], field.metadata["choices"]
+        options: dict[str, Any] = {"help": field.metadata["help"]}
+        if kind == "switch":
+            options["action"] = argparse.BooleanOptionalAction
+        elif kind == "choice":
+            options["choices"] = choices
+        else:
+            options["metavar"] = field.metadata["metavar"]
+            options["type"] = {"count": int, "names": str}.get(kind, float)
+            if kind in ("names", "numbers"):
+                options["nargs"] = "+"
+        parser.add_argument("--" + field.name.replace("_", "-"), **options)
+
+
+def _checked(field: dataclasses.Field, value: Any) -> Any:
+    """`value` as the field has it. Raises ValueError naming the field where it is of another kind."""
+    kind, choices = field.metadata["kind"], field.metadata["choices"]
+    wanted = _WORDS.get(kind) or "one of " + ", ".join(choices)
+    found = _CHECKS[kind](value, choices)
+    if found is None:
+        raise ValueError(f"{field.name} must be {wanted}, but it is {value!r}.")
+    return found
+
+
+def _number(value: Any, _=()) -> float | None:
+    whole_or_float = isinstance(value, int | float) and not isinstance(value, bool)
+    return value if whole_or_float and not math.isnan(value) else None
+
+
+def _list_of(check):
+    def checked(value, _=()):
+        items = [value] if isinstance(value, str) else value
+        good = isinstance(items, list | tuple) and len(items) > 0 and all(check(item) is not None for item in items)
+        return tuple(items) if good else None
+
+    return checked
+
+
+_CHECKS = {
+    "number": _number,
+    "numbers": _list_of(_number),
+    "count": lambda value, _: value if isinstance(_number(value), int) and value >= 1 else None,
+    "switch": lambda value, _: value if isinstance(value, bool) else None,
+    "choice": lambda value, choices: value if isinstance(value, str) and value in choices else None,
+    "names": _list_of(lambda item: item if isinstance(item, str) and item else None),
+}
