@@ -91,7 +91,7 @@ def asked(monkeypatch):
                 main([*arguments, "--no-plots", "--quiet"])
         scene, method, options = called.value.args
         return (
-            scene.defaults.picture_times,
+            getattr(scene.defaults, "picture_times", ()),
             method,
             {k: v for k, v in options.items() if k not in ("output", "progress")},
         )

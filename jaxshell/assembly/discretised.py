@@ -104,7 +104,7 @@ class Model(eqx.Module):
     def sum_over_nodes(self, acting: Acting, forces: Float[Array, "k c 6"]) -> Float[Array, "n 6"]:
         """Forces of a contribution's groups summed over the nodes."""
         if acting.on_elements:
-            return self.assemble_vector(forces)
+            return self.assemble_vector(forces.reshape(-1, 18))
         return jnp.zeros((self.x0.shape[0], 6)).at[acting.nodes].add(forces)
 
     def free(self, nodal: Float[Array, "n 6"]) -> Float[Array, " nf"]:

@@ -25,7 +25,7 @@ _GATHERED = 8
 class GatherSum(eqx.Module):
     """Sums of entries: `target[i] = Σ source[k]` over the k that belong to i."""
 
-    layers: tuple[Int[Array, " k"], ...]
+    layers: tuple[Int[Array, " _"], ...]
     """Layer j: the j-th contribution of those targets that have one, targets in descending order of count."""
     order: Int[Array, " size"]
     """Position of each target in that order."""
@@ -77,9 +77,9 @@ class Tables(eqx.Module):
     held: Int[Array, " nh"]
     place: Int[Array, " n6"]
     """Where each degree of freedom stands in [free, held]."""
-    groups: tuple[Int[Array, "k c"], ...] = ()
+    groups: tuple[Int[Array, "_ _"], ...] = ()
     """Nodes of the contributions' groups, other than the elements' own."""
-    entries: tuple[Int[Array, " e"], ...] = ()
+    entries: tuple[Int[Array, " _"], ...] = ()
     """Of the groups' matrices, entry by entry: its place in the sparse matrix; beyond its end where it has none."""
     own: Int[Array, " nnz"] | None = None
     """Of every entry of the sparse matrix, its place in `matrix`, one past the end where only groups have it; None

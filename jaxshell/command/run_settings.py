@@ -101,11 +101,11 @@ def settled(options: argparse.Namespace, of_file: RunSettings, scene) -> RunSett
 
 def first_step(options: argparse.Namespace, of_file: RunSettings, scene) -> float:
     """dt of a command that takes no other key."""
-    return required(_of_scene(scene) | of_file | RunSettings(dt=options.dt), "dt")
+    return required(_of_scene(scene) | of_file | RunSettings.checked({"dt": options.dt}), "dt")
 
 
 def _of_scene(scene) -> RunSettings:
-    return RunSettings(**{key: getattr(scene.defaults, key, None) for key in ("dt", "t_end", "save_every")})
+    return RunSettings.checked({key: getattr(scene.defaults, key, None) for key in ("dt", "t_end", "save_every")})
 
 
 def with_picture_times(scene, settings: RunSettings):

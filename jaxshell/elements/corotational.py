@@ -98,7 +98,7 @@ class Kinematics(NamedTuple):
     """e, see the top of this file."""
 
 
-def local_frame(x) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
+def local_frame(x: Float[Array, "3 3"]) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
     """Rows e1 ∥ edge 1-2, e2, e3 normal, eq. (54), and the local coordinates (l, b̄x, b̄y), from x (3, 3)."""
     a, b = x[1] - x[0], x[2] - x[0]
     length = jnp.sqrt(jnp.sum(a * a))
@@ -109,7 +109,7 @@ def local_frame(x) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
     return frame, jnp.stack([length, jnp.sum(b * e1), double_area / length])
 
 
-def kinematics(x, R, element: Element) -> Kinematics:
+def kinematics(x: Float[Array, "3 3"], R: Float[Array, "3 3 3"], element: Element) -> Kinematics:
     """Local frame, deformational rotations and deformations, eqs. (54)-(59), from x (3, 3) and R (3, 3, 3)."""
     frame, coordinates = local_frame(x)
 
@@ -166,7 +166,7 @@ def to_global(local, kin: Kinematics) -> Float[Array, "18"]:
     return product(local, kin.frame).reshape(18)
 
 
-def internal_force(x, R, element: Element) -> Float[Array, "18"]:
+def internal_force(x: Float[Array, "3 3"], R: Float[Array, "3 3 3"], element: Element) -> Float[Array, "18"]:
     """f_int = Λᵀ K̄_m p̄_d, eq. (70): the gradient of the strain energy with respect to displacements and spins."""
     kin = kinematics(x, R, element)
     return to_global(local_forces(kin, stresses(kin.deformations, element)), kin)
@@ -332,7 +332,7 @@ _OWN[range(3), range(3), range(3)] = 1.0
 """Weights of one block a node, between its own rotations."""
 
 
-def tangent_stiffness(x, R, element: Element) -> Float[Array, "18 18"]:
+def tangent_stiffness(x: Float[Array, "3 3"], R: Float[Array, "3 3 3"], element: Element) -> Float[Array, "18 18"]:
     """K_Stat, eq. (85): the derivative of `internal_force` with respect to displacements and spins."""
     kin = kinematics(x, R, element)
     return stiffness(kin, stresses(kin.deformations, element), element, None)

@@ -74,11 +74,11 @@ class RunSettings:
     step_horizon: float | None = _key("number", "until when errors count under step control (default: the end)")
     picture_times: tuple[float, ...] | None = _key("numbers", "times of the shapes that are drawn", metavar="T")
 
-    def __post_init__(self):
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if value is not None:
-                object.__setattr__(self, field.name, _checked(field, value))
+    @classmethod
+    def checked(cls, values: Mapping[str, Any]) -> "RunSettings":
+        """Of values by key, None included. Raises ValueError naming the key whose value is of another kind."""
+        fields = {field.name: field for field in dataclasses.fields(cls)}
+        return cls(**{key: _checked(fields[key], value) for key, value in values.items() if value is not None})
 
     def __or__(self, other: "RunSettings") -> "RunSettings":
         """These, with what `other` says in place of what they say."""
@@ -99,7 +99,7 @@ class RunSettings:
             if key not in KEYS:
                 raise ValueError(f"[run] has the unknown key {key!r}. Known keys: {', '.join(KEYS)}.")
         try:
-            return cls(**table)
+            return cls.checked(table)
         except ValueError as error:
             raise ValueError(f"[run] {error}") from error
 
@@ -123,12 +123,12 @@ class RunSettings:
         unknown = [key for key in found if key not in KEYS]
         if unknown:
             raise ValueError(f"The file's run has {unknown[0]!r}, which this version of jaxshell does not know.")
-        return cls(dt=dt, **found)
+        return cls.checked({**found, "dt": dt})
 
     @classmethod
     def from_command_line(cls, options: argparse.Namespace) -> "RunSettings":
         """Of the options that `add_options` made."""
-        return cls(**{name: getattr(options, name) for name in KEYS})
+        return cls.checked({name: getattr(options, name) for name in KEYS})
 
 
 KEYS = tuple(field.name for field in dataclasses.fields(RunSettings))
@@ -166,14 +166,14 @@ def _checked(field: dataclasses.Field, value: Any) -> Any:
 
 def _number(value: Any, _=()) -> float | None:
     whole_or_float = isinstance(value, int | float) and not isinstance(value, bool)
-    return value if whole_or_float and not math.isnan(value) else None
+    return float(value) if whole_or_float and not math.isnan(value) else None
 
 
 def _list_of(check):
     def checked(value, _=()):
         items = [value] if isinstance(value, str) else value
-        good = isinstance(items, list | tuple) and len(items) > 0 and all(check(item) is not None for item in items)
-        return tuple(items) if good else None
+        found = tuple(check(item) for item in items) if isinstance(items, list | tuple) else ()
+        return found if found and None not in found else None
 
     return checked
 
@@ -181,7 +181,7 @@ def _list_of(check):
 _CHECKS = {
     "number": _number,
     "numbers": _list_of(_number),
-    "count": lambda value, _: value if isinstance(_number(value), int) and value >= 1 else None,
+    "count": lambda value, _: value if type(value) is int and value >= 1 else None,
     "switch": lambda value, _: value if isinstance(value, bool) else None,
     "choice": lambda value, choices: value if isinstance(value, str) and value in choices else None,
     "names": _list_of(lambda item: item if isinstance(item, str) and item else None),

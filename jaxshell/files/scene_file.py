@@ -17,6 +17,7 @@ Nodes are chosen by `nodes = [...]`, `nearest = [x, y, z]`, `plane = { x = 0.0 }
 """
 
 import dataclasses
+import inspect
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -89,11 +90,11 @@ def _mesh(table: "_Table", folder: Path) -> Mesh:
     if name not in GENERATORS:
         raise ValueError(f"[mesh] generator must be one of {', '.join(GENERATORS)}, but it is {name!r}.")
     generator = GENERATORS[name]
-    code = generator.__code__
-    arguments = code.co_varnames[: code.co_argcount]
+    arguments = inspect.signature(generator).parameters
     table.only("generator", *arguments)
-    for needed in arguments[: len(arguments) - len(generator.__defaults__ or ())]:
-        table.get(needed)
+    for argument in arguments.values():
+        if argument.default is argument.empty:
+            table.get(argument.name)
     return table.call(generator, **{key: value for key, value in table.content.items() if key != "generator"})
 
 

@@ -103,7 +103,7 @@ def kinetic_and_momenta(model: Model, x: Float[Array, "n 3"], v: Float[Array, "n
     momentum = mass[:, None, None] * (jnp.asarray(LINEAR_MASS) @ rates)
     kinetic, angular = 0.5 * jnp.sum(rates * momentum), jnp.sum(jnp.cross(corners, momentum), axis=(0, 1))
     if spins is not None:
-        turning = jnp.asarray(GAUSS_WEIGHTS)[:, None] * inertia.apply_inertia(
+        turning = jnp.asarray(GAUSS_WEIGHTS)[None, :, None] * inertia.apply_inertia(
             elements.frame[:, None, 2], 1.0, spins.Omega
         )
         turning = (elements.area * elements.rotary_inertia)[:, None, None] * turning

@@ -40,7 +40,7 @@ def moments(motion, R_start, spins: Spins, element: Element, factors: StepFactor
 
 def stiffness(motion, R_start, spins: Spins, element: Element, factors: StepFactors) -> Float[Array, "3 3 3 3"]:
     """Derivative of `moments` by the rotation vectors: axes (node, component, node, component)."""
-    tensor = element.rotary_inertia * (jnp.eye(3) - element.frame[2][:, None] * element.frame[2])
+    tensor = element.rotary_inertia * (jnp.eye(3) - element.frame[2][:, None] * element.frame[2][None])
     mass = element.area * jnp.asarray(LINEAR_MASS)
     R = factors.mid(motion.R, R_start, factors.alpha_f)
     second = (1.0 - factors.alpha_m) / (factors.beta * factors.dt**2)

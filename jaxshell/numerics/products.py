@@ -65,12 +65,12 @@ def columns_times(A: Float[Array, "r b 3"], T: Float[Array, "b 3 3"]) -> Float[A
     )
 
 
-def dot(a: Float[Array, "*r k"], b: Float[Array, "*r k"]) -> Float[Array, "*r"]:
+def dot(a: Float[Array, "*#r k"], b: Float[Array, "*#r k"]) -> Float[Array, "*r"]:
     """Σ_k a[..., k] b[..., k]; axes of length one are repeated."""
     return _sum_of_products(jnp.unstack(a, axis=-1), jnp.unstack(b, axis=-1))
 
 
-def cross(a: Float[Array, "*r 3"], b: Float[Array, "*r 3"]) -> Float[Array, "*r 3"]:
+def cross(a: Float[Array, "*#r 3"], b: Float[Array, "*#r 3"]) -> Float[Array, "*r 3"]:
     """a × b; axes of length one are repeated."""
     (a1, a2, a3), (b1, b2, b3) = jnp.unstack(a, axis=-1), jnp.unstack(b, axis=-1)
     pairs = ((a2, -a3), (b3, b2)), ((a3, -a1), (b1, b3)), ((a1, -a2), (b2, b1))

@@ -4,9 +4,13 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import numpy as np
 from jaxtyping import Float, Int
 
 from jaxshell.model.scene import Scene
+
+Array = jax.Array | np.ndarray
+"""NumPy's in what is on its way to a result file."""
 
 
 class RESULTS(eqx.Enumeration):
@@ -33,15 +37,15 @@ class RESULTS(eqx.Enumeration):
 class Energy(eqx.Module):
     """Energies at every step [force·length], each (k,)."""
 
-    kinetic: Float[jax.Array, " k"]
-    strain: Float[jax.Array, " k"]
-    external_work: Float[jax.Array, " k"]
+    kinetic: Float[Array, " k"]
+    strain: Float[Array, " k"]
+    external_work: Float[Array, " k"]
     """Work of the loads and of moving supports since the start."""
-    dissipated: Float[jax.Array, " k"]
+    dissipated: Float[Array, " k"]
     """Energy that the method's numerical dissipation removed, where it accounts for it; zero otherwise."""
 
     @property
-    def total(self) -> Float[jax.Array, " k"]:
+    def total(self) -> Float[Array, " k"]:
         """Kinetic plus strain energy."""
         return self.kinetic + self.strain
 
@@ -49,8 +53,8 @@ class Energy(eqx.Module):
 class Momentum(eqx.Module):
     """Momenta at every step, each (k, 3), about the origin."""
 
-    linear: Float[jax.Array, "k 3"]
-    angular: Float[jax.Array, "k 3"]
+    linear: Float[Array, "k 3"]
+    angular: Float[Array, "k 3"]
 
 
 class Stats(dict):
@@ -67,15 +71,15 @@ class Solution(eqx.Module):
     """
 
     scene: Scene
-    times: Float[jax.Array, " k"]
-    watched: dict[str, Float[jax.Array, " k"]]
+    times: Float[Array, " k"]
+    watched: dict[str, Float[Array, " k"]]
     energy: Energy
     momentum: Momentum
-    iterations: Int[jax.Array, " k"]
-    frame_times: Float[jax.Array, " f"]
-    displacements: Float[jax.Array, "f n 3"]
-    rotations: Float[jax.Array, "f n 3 3"]
-    velocities: Float[jax.Array, "f n 3"]
+    iterations: Int[Array, " k"]
+    frame_times: Float[Array, " f"]
+    displacements: Float[Array, "f n 3"]
+    rotations: Float[Array, "f n 3 3"]
+    velocities: Float[Array, "f n 3"]
     result: RESULTS
     message: str = eqx.field(static=True)
     """For a failed run: step, time and what to try; empty otherwise."""
@@ -83,14 +87,14 @@ class Solution(eqx.Module):
     """Host-side figures: method and its parameters, wall time, steps, iterations, factorizations, solver, ..."""
     state: Any = None
     """The method's state at the end, from which `simulate(restart=...)` goes on. Of a file, a dict of its arrays."""
-    reaction: Float[jax.Array, "k nh"] | None = None
+    reaction: Float[Array, "k nh"] | None = None
     """Of a run with reactions=True: what the supports carry at the held freedoms [force, force·length], which
     `jaxshell.reactions` sorts by nodes."""
     analysis: str = eqx.field(static=True, default="time")
     """"time", or "static" where the times are load factors."""
 
     @property
-    def step_sizes(self) -> Float[jax.Array, " k-1"]:
+    def step_sizes(self) -> Float[Array, " steps"]:
         """Sizes of the steps taken, e.g. to differentiate a run under step control with its steps frozen."""
         return self.times[1:] - self.times[:-1]
 

@@ -49,7 +49,7 @@ from jaxshell.numerics.checks import index_array, require_float64
 class Handle(eqx.Module):
     """A prepared pattern: index arrays (as int32) and the native solver's names for its analyses."""
 
-    indptr: Int[Array, " n+1"]
+    indptr: Int[Array, " n1"]
     indices: Int[Array, " m"]
     rows: Int[Array, " m"]
     native: tuple[UInt64[Array, ""], ...]

@@ -33,7 +33,7 @@ class Gravity(DeadLoad):
         """(n, 6) force and moment on each node for factor 1."""
         a, b, c = x0[triangles[:, 0]], x0[triangles[:, 1]], x0[triangles[:, 2]]
         area = 0.5 * jnp.linalg.norm(jnp.cross(b - a, c - a), axis=1)
-        share = (mass_per_area * area / 3)[:, None] * self.acceleration
+        share = (mass_per_area * area / 3)[:, None] * self.acceleration[None]
         forces = jnp.zeros((x0.shape[0], 6))
         for corner in range(3):
             forces = forces.at[triangles[:, corner], :3].add(share)
