@@ -11,8 +11,19 @@ _FLAGS = " ".join(f"--{name}={str(value).lower()}" for name, value in OPTIONS.it
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_FLAGS}"
 
 import jax  # noqa: E402
+import jaxtyping  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
+
+
+@pytest.fixture(autouse=True)
+def _shapes_unchecked(request):
+    """Annotations are checked in every test (pyproject.toml: --jaxtyping-packages) but those marked `wrong_types`."""
+    off = request.node.get_closest_marker("wrong_types") is not None
+    before = jaxtyping.config.jaxtyping_disable
+    jaxtyping.config.update("jaxtyping_disable", before or off)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", before)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -20,3 +31,17 @@ def _forget_programs():
     """Compiled programs are of no use to the next file; kept, they fill gigabytes."""
     yield
     jax.clear_caches()
+
+
+_RANKS_AGREE = ("test_shapes", "test_simulate", "test_storage", "test_corotational", "test_older_files")
+"""Files in which no array is broadcast to a higher rank unasked. Not clean in the package: `Initial.rigid`, and
+`_local_tangent` in elements/energy_momentum.py."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _ranks(request):
+    before = jax.config.jax_numpy_rank_promotion
+    if request.module.__name__ in _RANKS_AGREE:
+        jax.config.update("jax_numpy_rank_promotion", "raise")
+    yield
+    jax.config.update("jax_numpy_rank_promotion", before)

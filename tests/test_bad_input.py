@@ -12,6 +12,8 @@ from jaxshell.analyses import program
 from jaxshell.analyses.statics import solve_static
 from jaxshell.model.generators import rectangle
 
+pytestmark = pytest.mark.wrong_types
+
 NODES = [[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
 TRIANGLES = [[0, 1, 2], [0, 2, 3]]
 MESH = js.Mesh(NODES, TRIANGLES)

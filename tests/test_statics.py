@@ -168,6 +168,7 @@ def test_a_loose_part_is_named():
         js.solve_static(js.Scene(mesh, js.Section(0.1, 1.0, 0.3, 1.0), (js.clamped([0, 1]),)))
 
 
+@pytest.mark.wrong_types
 @pytest.mark.parametrize("factors", [[], [0.0], [0.5, 0.5], [np.nan], [[1.0]]])
 def test_bad_load_factors_are_refused(factors):
     with pytest.raises(ValueError, match="load_factors"):
@@ -264,6 +265,7 @@ def test_an_arc_length_is_found_where_none_is_given():
     np.testing.assert_allclose(limit_points(factors), [0.1953, -0.1288], rtol=0.02)
 
 
+@pytest.mark.wrong_types
 def test_bad_arc_lengths_are_refused():
     with pytest.raises(ValueError, match="arc_length must be positive"):
         js.solve_arc_length(strip((TIP,)), -1.0)

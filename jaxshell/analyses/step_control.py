@@ -16,7 +16,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxshell.numerics.checks import check_positive, is_concrete
+from jaxshell.numerics.checks import Real, check_positive, is_concrete
 
 _SAFETY, _LEAST, _MOST = 0.85, 0.25, 4.0
 """Aim below the tolerance, and change the step by no more than these factors at once."""
@@ -65,12 +65,12 @@ class StepControl(eqx.Module):
     order.
     """
 
-    tolerance: float
-    initial: float
-    smallest: float
-    largest: float
+    tolerance: Real
+    initial: Real
+    smallest: Real
+    largest: Real
     output_interval: float | None = eqx.field(static=True)
-    horizon: float | None
+    horizon: Real | None
 
     def __init__(self, tolerance, initial, smallest=None, largest=None, output_interval=None, horizon=None):
         self.tolerance = tolerance

@@ -38,13 +38,13 @@ class Acting(eqx.Module):
     def forces(self, place: Place) -> Float[Array, "k c 6"]:
         return jax.vmap(self.contribution.force)(self.data, place)
 
-    def stiffness(self, place: Place) -> Float[Array, "k 6*c 6*c"]:
+    def stiffness(self, place: Place) -> Float[Array, "k d d"]:
         return jax.vmap(self.contribution.stiffness)(self.data, place)
 
     def mean_forces(self, start: Place, end: Place) -> Float[Array, "k c 6"]:
         return jax.vmap(self.contribution.mean_force)(self.data, start, end)
 
-    def mean_stiffness(self, start: Place, end: Place) -> Float[Array, "k 6*c 6*c"]:
+    def mean_stiffness(self, start: Place, end: Place) -> Float[Array, "k d d"]:
         return jax.vmap(self.contribution.mean_stiffness)(self.data, start, end)
 
 

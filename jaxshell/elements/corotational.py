@@ -185,7 +185,7 @@ def deformation_gradient(kin: Kinematics) -> Float[Array, "12 18"]:
     """Λ = H̄ P̄ of eqs. (64)-(67) for the deformations kept, in the corotated frame: δe = Λ δq̄."""
     _, bx, by = kin.coordinates
     G = frame_spin(kin)
-    metric = jnp.asarray(_METRIC) + jnp.stack([0.0 * by, by, -bx])[:, None] * G[2]
+    metric = jnp.asarray(_METRIC) + jnp.stack([0.0 * by, by, -bx])[:, None] * G[2][None]
     # H(θ̄_a) (δω̄_a - ω̄_e)
     turn = jax.vmap(lambda H, spin: product(H, spin - G))(kin.H, jnp.asarray(_SPINS))
     return jnp.concatenate([metric, turn[:, 2], turn[:, :2].reshape(6, 18)])
@@ -243,7 +243,7 @@ def projection_stiffness(kin: Kinematics, local) -> GeometricParts:
     # ~n ~x = x nᵀ - (n·x) I; node 1 is the origin.
     x2, x3 = jnp.stack([length, zero, zero]), jnp.stack([bx, by, zero])
     n2, n3 = local[1, 0], local[2, 0]
-    turned = x2[:, None] * n2 + x3[:, None] * n3 - (dot(n2, x2) + dot(n3, x3)) * jnp.eye(3)
+    turned = x2[:, None] * n2[None] + x3[:, None] * n3[None] - (dot(n2, x2) + dot(n3, x3)) * jnp.eye(3)
     Y = _columns(n, jnp.zeros_like(n)) + product(turned, frame_spin(kin))
     return GeometricParts(jnp.zeros((18, 3)), Y, jnp.zeros((3, 3, 3)))
 

@@ -21,7 +21,7 @@ from jaxshell.methods import predictor
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Motion, Observation
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import PredictedState
-from jaxshell.numerics.checks import check_finite, is_concrete
+from jaxshell.numerics.checks import Real, check_finite, is_concrete
 from jaxshell.numerics.products import cross, dot, product, scaled
 from jaxshell.numerics.rotations import cayley, skew
 
@@ -85,7 +85,7 @@ class EnergyMomentum(ImplicitMethod):
 
     balances_means: ClassVar[bool] = True
 
-    dissipation: float = 0.0
+    dissipation: Real = 0.0
 
     def __init__(self, dissipation=0.0):
         # An exact zero is held as an integer: floats become traced numbers, integers stay in the program's text.

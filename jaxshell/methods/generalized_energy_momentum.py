@@ -21,7 +21,7 @@ from jaxshell.methods import predictor, seven_point, traditional
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
 from jaxshell.methods.state import PredictedState
-from jaxshell.numerics.checks import check_finite, is_concrete
+from jaxshell.numerics.checks import Real, check_finite, is_concrete
 
 
 class GEMState(PredictedState):
@@ -75,8 +75,8 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
     another value does not compile again. Raises ValueError for values out of range.
     """
 
-    spectral_radius: float = 1.0
-    dissipation: float = 0.0
+    spectral_radius: Real = 1.0
+    dissipation: Real = 0.0
     initial_acceleration: str = eqx.field(static=True, default="consistent")
     inertia: str = eqx.field(static=True, default="seven_point")
 

@@ -30,7 +30,7 @@ from jaxshell.methods import predictor, seven_point
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
 from jaxshell.methods.state import PredictedState
-from jaxshell.numerics.checks import check_finite, is_concrete
+from jaxshell.numerics.checks import Real, check_finite, is_concrete
 
 
 class NewmarkState(PredictedState):
@@ -164,8 +164,8 @@ class Newmark(ForceLevelMethod):
 
     balance_at_end: ClassVar[bool] = True
 
-    beta: float = 0.25
-    gamma: float = 0.5
+    beta: Real = 0.25
+    gamma: Real = 0.5
 
     def __check_init__(self):
         check_finite("beta", self.beta)
@@ -188,7 +188,7 @@ class HHT(ForceLevelMethod):
     Raises ValueError for α out of range.
     """
 
-    alpha: float = -0.05
+    alpha: Real = -0.05
 
     def __check_init__(self):
         check_finite("alpha", self.alpha)
@@ -208,7 +208,7 @@ class GeneralizedAlpha(ForceLevelMethod):
     Raises ValueError for ρ∞ out of range.
     """
 
-    spectral_radius: float = 0.8
+    spectral_radius: Real = 0.8
 
     def __check_init__(self):
         check_finite("spectral_radius", self.spectral_radius)

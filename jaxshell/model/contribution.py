@@ -57,7 +57,7 @@ class Contribution(eqx.Module):
     def force(self, data, place: Place) -> Float[Array, "c 6"]:
         """Force and moment on every node of one group; `data` is the group's own."""
 
-    def stiffness(self, data, place: Place) -> Float[Array, "6*c 6*c"]:
+    def stiffness(self, data, place: Place) -> Float[Array, "d d"]:
         """Derivative of `force` by displacements and spins (δx, δω) of the group."""
 
         def moved(change):
@@ -71,7 +71,7 @@ class Contribution(eqx.Module):
         """Force and moment over a step, for methods that conserve energy: by default half the sum of the ends'."""
         return 0.5 * (self.force(data, start) + self.force(data, end))
 
-    def mean_stiffness(self, data, start: Place, end: Place) -> Float[Array, "6*c 6*c"]:
+    def mean_stiffness(self, data, start: Place, end: Place) -> Float[Array, "d d"]:
         """Derivative of `mean_force` by displacements and spins of the end of the step."""
 
         def moved(change):

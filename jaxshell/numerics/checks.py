@@ -7,6 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jaxtyping import Float
+
+Real = int | float | np.floating | Float[jax.Array, ""] | Float[np.ndarray, ""]
+"""A number that JAX may trace."""
 
 
 def require_float64() -> None:

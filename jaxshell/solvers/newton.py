@@ -10,7 +10,7 @@ import functools
 import equinox as eqx
 import jax
 
-from jaxshell.numerics.checks import check_positive
+from jaxshell.numerics.checks import Real, check_positive
 from jaxshell.solvers import chord_newton, full_newton
 from jaxshell.solvers.iteration import Linear, Measure, Memory, Problem
 from jaxshell.solvers.linear_solver import linear_solve
@@ -34,9 +34,9 @@ class Newton(eqx.Module):
     Raises ValueError for values that are not positive and unknown criteria.
     """
 
-    tolerance: float = 1e-8
+    tolerance: Real = 1e-8
     max_iterations: int = eqx.field(static=True, default=25)
-    max_rotation: float = 0.3
+    max_rotation: Real = 0.3
     reuse: bool = eqx.field(static=True, default=True)
     criterion: str = eqx.field(static=True, default="predicted")
 
