@@ -16,7 +16,7 @@ SCENES = {
 
 
 def write_case(scene: js.Scene, path: Path) -> Path:
-    """Nodes, triangles, section (scalars), held freedoms and nodal loads with their histories, as npz."""
+    """Nodes, triangles, section (scalars), held degrees of freedom and nodal loads with their histories, as npz."""
     triangles = scene.mesh.connectivity.array
     section = scene.section
     mass_per_area = np.full(len(triangles), float(section.thickness) * float(section.density))

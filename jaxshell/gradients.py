@@ -20,7 +20,7 @@ INCREMENTS = "converged increments"
 
 
 def keep(solved: Any) -> Any:
-    """Mark what Newton found, so that a strategy may keep it for the way back."""
+    """Mark what Newton found, so that a strategy may keep it for the reverse pass."""
     return jax.tree.map(lambda leaf: checkpoint_name(leaf, INCREMENTS), solved)
 
 
@@ -38,7 +38,7 @@ class Gradients(eqx.Module):
 
     @property
     def repeats_newton(self) -> bool:
-        """Whether the way back runs Newton's iteration again. A factorization kept is then of a later step."""
+        """Whether the reverse pass runs Newton's iteration again. A factorization kept is then of a later step."""
         return False
 
 
@@ -59,7 +59,7 @@ class Stored(Gradients):
 
 
 class Checkpointed(Gradients):
-    """Keep the state only at the start of segments, and replay a segment when the way back reaches it.
+    """Keep the state only at the start of segments, and replay a segment when the reverse pass reaches it.
 
     Arguments:
         levels: depth of the nesting. A run of N steps keeps about (levels + 1)·N^(1/(levels + 1)) states at a

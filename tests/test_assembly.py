@@ -82,5 +82,5 @@ def test_a_sum_is_differentiable_both_ways():
 
 def test_nothing_to_compute():
     scene = js.Scene(rectangle(1.0, 1.0, [1, 1]), SECTION, [js.clamped(np.arange(4))])
-    with pytest.raises(ValueError, match="Every freedom is held"):
+    with pytest.raises(ValueError, match="Every degree of freedom is held"):
         js.simulate(scene, js.GeneralizedEnergyMomentum(), dt=0.1, t_end=1.0)

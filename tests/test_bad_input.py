@@ -125,7 +125,7 @@ SCENES = {
     ),
     "freedom prescribed twice": (
         {"supports": [js.clamped([0]), js.Support([0], "uz", 1.0, RAMP)]},
-        "Freedom uz of node 0 is prescribed by two supports",
+        "Degree of freedom uz of node 0 is prescribed by two supports",
     ),
 }  # fmt: skip
 

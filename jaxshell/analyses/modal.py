@@ -142,7 +142,7 @@ def _initial_state(scene: Scene):
 
 @compiled
 def _vibration_matrices(scene: Scene, tables: Tables, state, time):
-    """Values of K and M over the free freedoms, and a scale of ω² below the bending frequencies."""
+    """Values of K and M over the free degrees of freedom, and a scale of ω² below the bending frequencies."""
     model = Model.build(scene, tables)
     placed = model.x0 + state[0], state[1]
     x, R = model.gather(placed)
@@ -158,7 +158,7 @@ def _vibration_matrices(scene: Scene, tables: Tables, state, time):
 
 @compiled
 def _buckling_matrices(scene: Scene, tables: Tables, handle):
-    """Values of K and K_σ over the free freedoms, K_σ for load factor 1."""
+    """Values of K and K_σ over the free degrees of freedom, K_σ for load factor 1."""
     model = Model.build(scene, tables)
     n = model.x0.shape[0]
     at_rest = model.x0, jnp.broadcast_to(jnp.eye(3), (n, 3, 3))

@@ -222,7 +222,7 @@ def reactions(solution: Solution) -> Float[Array, "*k n 6"]:
     """Forces and moments of the supports on the shell, at every frame of a static solution or, of a run in time
     made with `simulate(..., reactions=True)`, in every step.
 
-    Zero at freedoms that are not held; forces [force] first, then moments [force·length] about the nodes.
+    Zero at degrees of freedom that are not held; forces [force] first, then moments [force·length] about the nodes.
     In statics they are in balance with the loads: their resultant and their moment about any point vanish.
     In motion they also carry the inertial forces. They are those of the balance that the method solves in the
     step: at its end (`Newmark`, `Bathe`), the mean over it (`EnergyMomentum`, `CentralDifference`, EMC), or

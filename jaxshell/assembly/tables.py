@@ -65,15 +65,15 @@ class GatherSum(eqx.Module):
 
 
 class Tables(eqx.Module):
-    """Index arrays of one structure (connectivity and held freedoms), passed to compiled programs as arguments."""
+    """Index arrays of one structure (connectivity, held degrees of freedom), arguments of the compiled programs."""
 
     triangles: Int[Array, "m 3"]
     nodal: GatherSum
     """(m·3, ...) element corners → (n, ...) nodes."""
     matrix: GatherSum
-    """(m·324,) element matrix entries → values of the sparse matrix over the free freedoms; empty without one."""
+    """(m·324,) element matrix entries → values of the sparse matrix over the free ones; empty without one."""
     free: Int[Array, " nf"]
-    """Numbers 6·node + dof of the free freedoms."""
+    """Numbers 6·node + dof of the free degrees of freedom."""
     held: Int[Array, " nh"]
     place: Int[Array, " n6"]
     """Where each degree of freedom stands in [free, held]."""
@@ -156,5 +156,5 @@ def _free_dofs(structure: Structure) -> np.ndarray:
     is_free[structure.held.array] = False
     free = np.flatnonzero(is_free)
     if free.size == 0:
-        raise ValueError("Every freedom is held by a support: there is nothing to compute.")
+        raise ValueError("Every degree of freedom is held by a support: there is nothing to compute.")
     return free

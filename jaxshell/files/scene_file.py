@@ -118,7 +118,9 @@ def _support(table: "_Table", mesh: Mesh) -> Support:
     if isinstance(hold, str):
         if hold not in _HOLD:
             choices = ", ".join(repr(name) for name in _HOLD)
-            raise ValueError(f"{table.name} hold must be one of {choices} or a list of freedoms, but it is {hold!r}.")
+            raise ValueError(
+                f"{table.name} hold must be one of {choices} or a list of degrees of freedom, but it is {hold!r}."
+            )
         hold = _HOLD[hold]
     displacement = table.content.get("displacement")
     return table.call(Support, _nodes(table, mesh), hold, displacement, _history(table))

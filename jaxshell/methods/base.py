@@ -125,7 +125,7 @@ class Method(eqx.Module):
     def unbalanced(self, model: Model, before, after, dt) -> Float[Array, "n 6"]:
         """Inertial plus internal minus external forces in the balance of the step between two states.
 
-        At held freedoms what the supports carry, at free ones what Newton has left.
+        At held degrees of freedom what the supports carry, at free ones what Newton has left.
         """
 
 
@@ -328,7 +328,7 @@ def _converge(memory: Memory, method: ImplicitMethod, model: Model, state, dt, s
 
 
 def _scales(model: Model):
-    """What scales the corrections: the shell's size, and which free freedoms are rotations."""
+    """What scales the corrections: the shell's size, and which free degrees of freedom are rotations."""
     return model.size, model.tables.free % 6 >= 3
 
 
@@ -338,7 +338,7 @@ def _problem(method: ImplicitMethod, model: Model, state, dt, solvers: Solvers):
     held = model.held_increment(state.time, dt)
 
     def matrix(free, last):
-        # At the start of the step, where `last` is zero, the held freedoms have not moved either.
+        # At the start of the step, where `last` is zero, the held degrees of freedom have not moved either.
         last = model.expand(last, jnp.where(jnp.any(last != 0), held, 0.0))
         u = model.expand(free, held)
         return method.tangent(model, state, begun, u, last, solvers.tangent)

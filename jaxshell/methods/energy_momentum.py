@@ -193,7 +193,7 @@ class EnergyMomentum(ImplicitMethod):
         work = self.work_of_loads(model, state, begun, motion, u)
         dissipated = state.dissipated
         if model.moving:
-            # Supports that move work with the reaction, the residual at the held freedoms.
+            # Supports that move work with the reaction, the residual at the held degrees of freedom.
             reaction = self.balance(model, state, begun, u).residual.reshape(-1)[model.tables.held]
             work = work + jnp.sum(reaction * u.reshape(-1)[model.tables.held])
         if self._dissipates:

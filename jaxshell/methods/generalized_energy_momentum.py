@@ -192,7 +192,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             spins = jax.vmap(inertia.end_of_step, in_axes=(0, 0, None))(motion.theta, spins, factors)
         work = self.work_of_loads(model, state, begun, motion, u)
         if model.moving:
-            # Supports that move work with the reaction, the residual at the held freedoms.
+            # Supports that move work with the reaction, the residual at the held degrees of freedom.
             reaction = self.balance(model, state, begun, u).residual.reshape(-1)[model.tables.held]
             work = work + jnp.sum(reaction * u.reshape(-1)[model.tables.held])
         return GEMState(

@@ -45,7 +45,7 @@ class NewmarkState(PredictedState):
     """At the seven Gauss points of each element, (m, 7, ...)."""
     external_work: Float[Array, ""]
     reaction: Float[Array, " nh"]
-    """Of the last balance at the held freedoms; (0,) where no support moves."""
+    """Of the last balance at the held degrees of freedom; (0,) where no support moves."""
     rates: predictor.Rates
     """Of the last steps, for the predictor."""
 

@@ -12,7 +12,7 @@ Nodal = Float[Array, "n 3"]
 
 
 def initial_motion(model: Model, scene: Scene) -> tuple[Nodal, Float[Array, "n 3 3"], Nodal, Nodal]:
-    """Positions, rotations, velocities and angular velocities at the start; held freedoms do not move."""
+    """Positions, rotations, velocities and angular velocities at the start; held degrees of freedom do not move."""
     n = model.x0.shape[0]
     x, R = model.x0, jnp.broadcast_to(jnp.eye(3), (n, 3, 3))
     v = omega = jnp.zeros((n, 3))

@@ -147,7 +147,7 @@ def _corners(d: Float[Array, "3 3"], edges: Float[Array, "3 3"]) -> Float[Array,
 
 
 def reactions_at(model: Model, d, R, time) -> Float[Array, "n 6"]:
-    """Forces and moments of the supports on the shell in equilibrium: f_int - f_ext at the held freedoms."""
+    """Forces and moments of the supports on the shell in equilibrium: f_int - f_ext at the held degrees of freedom."""
     method, zero = Static(), jnp.zeros(())
     state = StaticState(jnp.asarray(time), d, R, jnp.zeros_like(d), zero)
     residual = method.balance(model, state, method.begin(model, state, zero), jnp.zeros((d.shape[0], 6))).residual

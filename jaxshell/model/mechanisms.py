@@ -38,11 +38,11 @@ def connected_parts(triangles: np.ndarray, n_nodes: int) -> tuple[int, np.ndarra
 
 
 def free_motions(nodes: np.ndarray, members: np.ndarray, held_dofs: np.ndarray) -> list[str]:
-    """The rigid-body motions of the nodes `members` that the held freedoms (6·node + dof) allow, in words."""
+    """The rigid-body motions of the nodes `members` that the held degrees of freedom (6·node + dof) allow, in words."""
     centre = nodes[members].mean(axis=0)
     size = np.linalg.norm(np.ptp(nodes[members], axis=0))
     node, dof = np.divmod(held_dofs[np.isin(held_dofs // 6, members)], 6)
-    # Row of a held freedom: its motion under (v, ω·size), v the velocity of the centre.
+    # Row of a held degree of freedom: its motion under (v, ω·size), v the velocity of the centre.
     rows = np.zeros((node.size, 6))
     arm = (nodes[node] - centre) / size
     moving, axis = dof < 3, dof % 3

@@ -13,7 +13,7 @@ from jaxshell.model.contribution import Contribution
 from jaxshell.model.loads import Load
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sections import AnySection
-from jaxshell.model.supports import Support
+from jaxshell.model.supports import DOFS, Support
 from jaxshell.numerics.checks import check_finite, check_shape, float_array, is_concrete
 from jaxshell.numerics.frozen import Frozen
 
@@ -86,7 +86,7 @@ class Scene(eqx.Module):
         defaults: suggested time step, duration and methods (used by the command line only).
 
     Units are the user's, consistently. Raises ValueError for loads and supports on nodes that do not
-    exist, for a freedom prescribed twice, for values per element or node of another length.
+    exist, for a degree of freedom prescribed twice, for values per element or node of another length.
     """
 
     mesh: Mesh
@@ -154,9 +154,7 @@ class Scene(eqx.Module):
             repeated = np.concatenate([both, _repeats(numbers)])
             if repeated.size:
                 node, dof = divmod(int(repeated[0]), 6)
-                raise ValueError(
-                    f"Freedom {('ux', 'uy', 'uz', 'rx', 'ry', 'rz')[dof]} of node {node} is prescribed by two supports."
-                )
+                raise ValueError(f"Degree of freedom {DOFS[dof]} of node {node} is prescribed by two supports.")
 
     @property
     def contributions(self) -> tuple[Contribution, ...]:
@@ -165,7 +163,7 @@ class Scene(eqx.Module):
 
     @property
     def held_dofs(self) -> np.ndarray:
-        """Sorted numbers 6·node + dof of all freedoms that supports hold or move."""
+        """Sorted numbers 6·node + dof of all degrees of freedom that supports hold or move."""
         numbers = [support.dof_numbers.ravel() for support in self.supports]
         return np.unique(np.concatenate(numbers)) if numbers else np.zeros(0, np.int64)
 

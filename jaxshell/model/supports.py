@@ -23,7 +23,7 @@ class Support(eqx.Module):
             that is held is left out of every step's turn. Where ONE is held and a node turns about both others,
             where that leads depends on the steps, with the second order of the turn: hold two (a hinge) or three.
         displacement: prescribed displacement [length], scalar or one per entry of `dofs`; multiplied by
-            `history`. None holds the freedoms where they are. Only for ux, uy, uz. Differentiable.
+            `history`. None holds the degrees of freedom where they are. Only for ux, uy, uz. Differentiable.
         history: how the prescribed displacement varies in time (statics goes by the load factor instead); zero at
             time 0, where runs start, or the support would jump.
 
@@ -65,7 +65,7 @@ class Support(eqx.Module):
 
     @property
     def dof_numbers(self) -> np.ndarray:
-        """(k, d) numbers 6·node + dof of the freedoms held."""
+        """(k, d) numbers 6·node + dof of the degrees of freedom held."""
         return 6 * self.nodes.array[:, None] + np.array([DOFS.index(name) for name in self.dofs])
 
     def values(self, time) -> Float[jax.Array, "k d"]:
@@ -77,7 +77,7 @@ class Support(eqx.Module):
 
 
 def clamped(nodes) -> Support:
-    """All six freedoms of the nodes held."""
+    """All six degrees of freedom of the nodes held."""
     return Support(nodes, ALL)
 
 

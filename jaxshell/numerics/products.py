@@ -6,7 +6,7 @@ the last axis: measured on one core, 0.23 µs instead of 0.77 µs (`dot`) or 1.6
 18 × 18 product of the material stiffness. Where more is added to a product in the same loop, `jnp.dot` may be the
 cheaper, because XLA forms its result once: `jaxshell.elements.corotational.on_rotations` has the figures.
 
-The same holds on the way back: JAX transposes a factor that was broadcast into a reduction, and an entry taken out
+The same holds on the reverse pass: JAX transposes a factor that was broadcast into a reduction, and an entry taken out
 of an array into an array of zeros with one entry. Here both become sums and stacks of what is there.
 """
 

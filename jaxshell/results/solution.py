@@ -88,7 +88,7 @@ class Solution(eqx.Module):
     state: Any = None
     """The method's state at the end, from which `simulate(restart=...)` goes on. Of a file, a dict of its arrays."""
     reaction: Float[Array, "k nh"] | None = None
-    """Of a run with reactions=True: what the supports carry at the held freedoms [force, force·length], which
+    """Of a run with reactions=True: what the supports carry at the held degrees of freedom [force, force·length], which
     `jaxshell.reactions` sorts by nodes."""
     analysis: str = eqx.field(static=True, default="time")
     """"time", or "static" where the times are load factors."""

@@ -83,26 +83,9 @@ def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, m
     memory = eqx.tree_at(lambda m: m.stale, memory, memory.stale | full)
     start = _start(guess, memory, full)
 
-    def correction(c: _Carry, r) -> tuple[Correction, Memory]:
-        """The correction, and the memory with what was factored for it."""
-
-        def anew():
-            values = problem.matrix(c.free, c.last)
-            step, factorization = linear.solver.factor_and_solve(linear.handle, values, -r)
-            return step, factorization, values
-
-        def again():
-            kept = c.memory
-            step = linear.solver.solve(linear.handle, kept.factorization, kept.values, -r)
-            return step, kept.factorization, kept.values
-
-        step, factorization, values = lax.cond(c.memory.stale, anew, again)
-        memory = eqx.tree_at(lambda m: (m.factorization, m.values), c.memory, (factorization, values))
-        return measure.correction(step, c.correction), memory
-
     def advance(c: _Carry, r) -> _Carry:
         fresh = c.memory.stale
-        found, memory = correction(c, r)
+        found, memory = _correction(problem, measure, linear, c, r)
         outlook = _outlook(newton, c, found, fresh)
         if newton.criterion == "norm":
             enough = jnp.linalg.norm(found.step) <= newton.tolerance
@@ -146,6 +129,24 @@ def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, m
     result = jnp.where(end.done, end.result, STAGNATED)
     solved = Solved(end.free, result, end.iterations, end.factorizations, end.correction)
     return solved, _remembered(end, result)
+
+
+def _correction(problem: Problem, measure: Measure, linear: Linear, c: _Carry, r) -> tuple[Correction, Memory]:
+    """The correction for the residual r, and the memory with what was factored for it."""
+
+    def anew():
+        values = problem.matrix(c.free, c.last)
+        step, factorization = linear.solver.factor_and_solve(linear.handle, values, -r)
+        return step, factorization, values
+
+    def again():
+        kept = c.memory
+        step = linear.solver.solve(linear.handle, kept.factorization, kept.values, -r)
+        return step, kept.factorization, kept.values
+
+    step, factorization, values = lax.cond(c.memory.stale, anew, again)
+    memory = eqx.tree_at(lambda m: (m.factorization, m.values), c.memory, (factorization, values))
+    return measure.correction(step, c.correction), memory
 
 
 def _start(guess, memory: Memory, full) -> _Carry:
