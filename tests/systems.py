@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from jaxshell.solvers.linear_solver import KLU, Dense, Pardiso, SparsityPattern
+from jaxshell.solvers.linear_solver import KLU, Dense, Pardiso, SparsityPattern, multiply
 
 ROUND_OFF = 1e-12  # of matrices whose condition numbers are below 100
 SOLVERS = (Pardiso, KLU, Dense)
@@ -42,6 +42,11 @@ def to_dense(pattern, values):
     shape = (pattern.size, pattern.size)
     csr = (np.asarray(values), pattern.indices.array, pattern.indptr.array)
     return scipy.sparse.csr_matrix(csr, shape=shape).toarray()
+
+
+def relative_residual(handle, values, x, rhs):
+    """|K x - b|/|b|: round-off for a regular matrix, not so for a singular one."""
+    return jnp.linalg.norm(multiply(handle, values, x) - rhs) / jnp.linalg.norm(rhs)
 
 
 def relative_error(x, reference):

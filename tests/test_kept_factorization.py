@@ -4,9 +4,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from systems import PATTERN, RHS, ROUND_OFF, SOLVERS, available, random_values, relative_error, shell_pattern, to_dense
+from systems import (
+    PATTERN,
+    RHS,
+    ROUND_OFF,
+    SOLVERS,
+    available,
+    random_values,
+    relative_error,
+    relative_residual,
+    shell_pattern,
+    to_dense,
+)
 
-from jaxshell.solvers.linear_solver import Dense, Pardiso, linear_solve, multiply, relative_residual
+from jaxshell.solvers.linear_solver import Dense, Pardiso, linear_solve, multiply
 
 
 @pytest.fixture(params=SOLVERS, ids=lambda kind: kind.__name__)

@@ -9,6 +9,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import EPS, PROFILE, numbers, powers, vectors
+from spins import axial
 
 from jaxshell.numerics import rotations
 
@@ -104,7 +105,7 @@ def first_derivatives(theta):
     for jacobian in (jax.jacfwd, jax.jacrev):
         for turn in (rotations.exp, rotations.cayley):
             dR = jnp.einsum("abk,cb->ack", jacobian(turn)(theta), turn(theta))
-            found.append(jax.vmap(rotations.axial, in_axes=2, out_axes=1)(dR))
+            found.append(jax.vmap(axial, in_axes=2, out_axes=1)(dR))
         found.append(jacobian(spun)(jnp.zeros(3)))
     return found
 

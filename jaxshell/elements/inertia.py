@@ -141,9 +141,3 @@ def point_tangent(theta, start: PointStart, factors: StepFactors, centrifugal: b
         material = material + (1.0 - alpha_f) * gamma / (beta * dt) * gyroscopic
     turning = product(rotations.skew(product(end, a)), rotations.H_inverse(theta))
     return product(averaged, material) - (1.0 - alpha_f) * turning
-
-
-def spin_tangent(theta, start: Spins, axis, rotary_inertia, factors: StepFactors) -> Float[Array, "3 3"]:
-    """The integrand of the rotational block of K_Dyn, eq. (51), without N_a N_b: derivative by the spin δω."""
-    stiffness = point_tangent(theta, PointStart.of(start, axis), factors)
-    return rotary_inertia * product(stiffness, rotations.H(theta))

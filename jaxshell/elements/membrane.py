@@ -1,6 +1,6 @@
 """OPT: the optimal three-node membrane triangle with drilling degrees of freedom, for one element.
 
-C. A. Felippa, "A study of optimal membrane triangles with drilling degrees of freedom", Comput. Methods Appl. Mech.
+C. A. Felippa, "A study of optimal membrane triangles with drilling freedoms", Comput. Methods Appl. Mech.
 Eng. 192 (2003) 2125-2168. The membrane part of K̄_m in Yang & Xia 2014, eqs. (60)-(61).
 
 K = L A Lᵀ/A_e + ¾ β0 T_θuᵀ K_θ T_θu. The first term is the basic stiffness, which alone passes the patch

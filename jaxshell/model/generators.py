@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 
-from jaxshell.model.mesh import Mesh, structured_triangles
+from jaxshell.model.mesh import Mesh, grid, structured_triangles
 
 
 def rectangle(length, width, divisions) -> Mesh:
     """0 ≤ x ≤ `length`, 0 ≤ y ≤ `width`, z = 0, normal +z; `divisions` (along x, along y)."""
     columns, rows = _counts("rectangle", divisions, (1, 1))
     _positive(length=length, width=width)
-    x, y = _grid(np.linspace(0, length, columns + 1), np.linspace(0, width, rows + 1))
+    x, y = grid(np.linspace(0, length, columns + 1), np.linspace(0, width, rows + 1))
     return Mesh(np.stack([x, y, 0 * x], 1), structured_triangles(columns, rows))
 
 
@@ -26,7 +26,7 @@ def cylinder(radius, length, divisions, angle=360.0) -> Mesh:
     closed = angle == 360
     rows, around = _counts("cylinder", divisions, (1, 3 if closed else 1))
     turns = np.radians(angle) * np.arange(around + (not closed)) / around
-    x, turn = _grid(np.linspace(0, length, rows + 1), turns)
+    x, turn = grid(np.linspace(0, length, rows + 1), turns)
     nodes = np.stack([x, radius * np.cos(turn), radius * np.sin(turn)], 1)
     # ∂x × ∂turn points inwards.
     return Mesh(nodes, structured_triangles(rows, around, periodic=closed)[:, [0, 2, 1]])
@@ -42,7 +42,7 @@ def spherical_cap(radius, half_angle, divisions) -> Mesh:
     _positive(radius=radius, half_angle=half_angle)
     if half_angle >= 180:
         raise ValueError(f"half_angle must be below 180 degrees, but it is {half_angle}.")
-    s, t = _grid(*[np.arange(-count, count + 1) / count] * 2)
+    s, t = grid(*[np.arange(-count, count + 1) / count] * 2)
     polar = np.radians(half_angle) * np.maximum(np.abs(s), np.abs(t))
     # Squares |s|, |t| = const become circles, and each quarter of a square's outline a quarter of the circle.
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -61,7 +61,7 @@ def spherical_zone(radius, top, bottom, divisions) -> Mesh:
     _positive(radius=radius, top=top)
     if not top < bottom < 180:
         raise ValueError(f"Angles must fulfil 0 < top < bottom < 180 degrees, but are top {top}, bottom {bottom}.")
-    polar, azimuth = _grid(np.radians(np.linspace(top, bottom, rows + 1)), 2 * math.pi * np.arange(around) / around)
+    polar, azimuth = grid(np.radians(np.linspace(top, bottom, rows + 1)), 2 * math.pi * np.arange(around) / around)
     return Mesh(_on_sphere(radius, polar, azimuth), structured_triangles(rows, around, periodic=True))
 
 
@@ -71,11 +71,6 @@ GENERATORS = {f.__name__: f for f in (rectangle, cylinder, spherical_cap, spheri
 def _on_sphere(radius, polar, azimuth) -> np.ndarray:
     points = [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)]
     return radius * np.stack(points, 1)
-
-
-def _grid(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    first, second = np.meshgrid(first, second, indexing="ij")
-    return first.ravel(), second.ravel()
 
 
 def _counts(shape: str, divisions, least: tuple[int, ...]) -> list[int]:

@@ -94,6 +94,17 @@ class Mesh(eqx.Module):
         return cls(content.points[used, :3], compact.reshape(triangles.shape))
 
 
+def grid(first, second) -> tuple[np.ndarray, np.ndarray]:
+    """Both coordinates (n·k,) of the nodes of a grid of n by k values, numbered as `structured_triangles` does."""
+    first, second = np.meshgrid(first, second, indexing="ij")
+    return first.ravel(), second.ravel()
+
+
+def chain(nodes: np.ndarray) -> np.ndarray:
+    """Edges (n - 1, 2) between neighbours in a list of nodes (n,)."""
+    return np.stack([nodes[:-1], nodes[1:]], 1)
+
+
 def structured_triangles(rows: int, columns: int, periodic: bool = False) -> np.ndarray:
     """Connectivity of a rows × columns grid of quads, each cut along its (i, j)-(i+1, j+1) diagonal.
 
@@ -101,7 +112,7 @@ def structured_triangles(rows: int, columns: int, periodic: bool = False) -> np.
     (`periodic`). Returns (2·rows·columns, 3).
     """
     width = columns if periodic else columns + 1
-    i, j = (k.ravel() for k in np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"))
+    i, j = grid(np.arange(rows), np.arange(columns))
     after = (j + 1) % width
     a, b, c, d = i * width + j, (i + 1) * width + j, (i + 1) * width + after, i * width + after
     return np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], 1).reshape(-1, 3)

@@ -28,11 +28,6 @@ def skew(v: Vector) -> Matrix:
     return jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
 
 
-def axial(W: Matrix) -> Vector:
-    """Axial vector of the skew part of W, ½ [W32-W23, W13-W31, W21-W12] (eq. (5)): `axial(skew(v)) == v`."""
-    return 0.5 * jnp.stack([W[2, 1] - W[1, 2], W[0, 2] - W[2, 0], W[1, 0] - W[0, 1]])
-
-
 # --- scalar functions of the squared angle ---------------------------------------------------------------
 
 # sin θ/θ, (1 - cos θ)/θ² and (θ - sin θ)/θ³ are Σ (-θ²)ᵏ/(2k+m)! with m = 1, 2, 3. Their closed forms lose

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxshell.model import generators
 from jaxshell.model.loads import EdgeForce, History, NodalForce
-from jaxshell.model.mesh import Mesh, structured_triangles
+from jaxshell.model.mesh import Mesh, chain, grid, structured_triangles
 from jaxshell.model.scene import Defaults, Initial, Scene
 from jaxshell.model.sections import Section
 from jaxshell.model.supports import pinned
@@ -29,7 +29,7 @@ def snapping_panel(divisions: tuple[int, int] = (8, 16), force: float = 5e7) -> 
     if along % 2 or around % 2:
         raise ValueError(f"divisions must be even, so that there is a node at the centre, but are {divisions}.")
     radius, length, half_angle = 5.0, 5.0, np.pi / 6
-    x, turn = _grid(np.linspace(0, length, along + 1), np.linspace(-half_angle, half_angle, around + 1))
+    x, turn = grid(np.linspace(0, length, along + 1), np.linspace(-half_angle, half_angle, around + 1))
     mesh = Mesh(np.stack([x, radius * np.sin(turn), radius * np.cos(turn)], 1), structured_triangles(along, around))
     centre = mesh.nearest_node([length / 2, 0, radius])
     crown, edges = (np.flatnonzero(np.abs(np.abs(turn) - angle) < 1e-9) for angle in (0.0, half_angle))
@@ -37,7 +37,7 @@ def snapping_panel(divisions: tuple[int, int] = (8, 16), force: float = 5e7) -> 
         mesh,
         Section(0.1, 200e9, 0.25, 1e4),
         (pinned(edges),),
-        (EdgeForce(_chain(crown), [0.0, 0.0, -force], History.ramp(0.2)),),
+        (EdgeForce(chain(crown), [0.0, 0.0, -force], History.ramp(0.2)),),
         name="snapping_panel",
         watch={"centre": (centre, "uz")},
         defaults=Defaults(dt=1e-3, t_end=0.3, picture_times=(0.0, 0.05, 0.1, 0.15, 0.2, 0.3), units="SI"),
@@ -87,7 +87,7 @@ def l_shaped_plate(divisions: int = 4) -> Scene:
     """
     count = 3 * divisions
     along = np.concatenate([np.arange(count, 0, -1), np.arange(count + 1)])
-    i, j = _grid(np.arange(2 * count + 1), np.arange(divisions + 1))
+    i, j = grid(np.arange(2 * count + 1), np.arange(divisions + 1))
     leg, y = 0.6 * along[i] / count, 0.2 * j / divisions
     up = i < count  # the leg along z comes first
     nodes = np.stack([np.where(up, 0.0, leg), y, np.where(up, leg, 0.0)], 1)
@@ -99,8 +99,8 @@ def l_shaped_plate(divisions: int = 4) -> Scene:
         Section(4e-3, 70e9, 0.3, 2700.0),
         (),
         (
-            EdgeForce(_chain(top), [2e3, 1e3, 1e3], pulse),
-            EdgeForce(_chain(end), [1e3, -1e3, 2e3], pulse),
+            EdgeForce(chain(top), [2e3, 1e3, 1e3], pulse),
+            EdgeForce(chain(end), [1e3, -1e3, 2e3], pulse),
         ),
         name="l_shaped_plate",
         watch={"end z": (int(top[0]), "ux"), "end x": (int(end[0]), "uz")},
@@ -127,13 +127,3 @@ def spinning_plate(divisions: int = 8, spin: tuple[float, float, float] = (0.0, 
         watch={"corner x": (0, "ux"), "corner z": (0, "uz")},
         defaults=Defaults(dt=2e-4, t_end=0.5, picture_times=tuple(0.1 * k for k in range(6)), units="SI"),
     )
-
-
-def _grid(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    first, second = np.meshgrid(first, second, indexing="ij")
-    return first.ravel(), second.ravel()
-
-
-def _chain(nodes: np.ndarray) -> np.ndarray:
-    """Edges between neighbours in a list of nodes."""
-    return np.stack([nodes[:-1], nodes[1:]], 1)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxshell.model.loads import EdgeForce, History, Load, NodalForce
-from jaxshell.model.mesh import Mesh, structured_triangles
+from jaxshell.model.mesh import Mesh, chain, grid, structured_triangles
 from jaxshell.model.scene import Defaults, Scene
 from jaxshell.model.sections import Section
 from jaxshell.model.supports import Support, clamped, symmetry
@@ -21,7 +21,7 @@ def spherical_cap(divisions: int = 10, force: float = 444.8, thickness: float = 
     """
     _check_count("divisions", divisions, 1)
     radius, half_angle = 0.1209, math.radians(10.9)
-    s, t = (k.ravel() / divisions for k in np.meshgrid(*[np.arange(divisions + 1)] * 2, indexing="ij"))
+    s, t = grid(*[np.arange(divisions + 1) / divisions] * 2)
     polar = half_angle * np.maximum(s, t)
     with np.errstate(divide="ignore", invalid="ignore"):
         azimuth = np.where(s >= t, 0.25 * np.pi * t / s, 0.5 * np.pi - 0.25 * np.pi * s / t)
@@ -68,17 +68,17 @@ def free_plate(divisions: tuple[int, int] = (15, 3), loads: Sequence[Load] | Non
     _check_count("divisions[0]", columns, 1)
     _check_count("divisions[1]", rows, 1)
     length, width = 0.3, 0.06
-    x, y = (k.ravel() for k in np.meshgrid(*[np.linspace(0, 1, c + 1) for c in (columns, rows)], indexing="ij"))
+    x, y = grid(*[np.linspace(0, 1, c + 1) for c in (columns, rows)])
     mesh = Mesh(np.stack([length * x, width * y, 0 * x], 1), structured_triangles(columns, rows))
     if loads is None:
         pulse = History([0.0, 0.002, 0.004], [0.0, 4e4, 0.0])
         left, right = np.flatnonzero(x == 0), np.flatnonzero(x == 1)
         half = rows - rows // 2
         loads = (
-            EdgeForce(_chain(left), [0.8, 0.0, 0.8], pulse),
-            EdgeForce(_chain(right), [0.0, 0.0, -0.4], pulse),
-            EdgeForce(_chain(left[-half - 1 :]), [0.0, 0.0, 0.4], pulse),
-            EdgeForce(_chain(right[-half - 1 :]), [0.0, 0.0, -0.4], pulse),
+            EdgeForce(chain(left), [0.8, 0.0, 0.8], pulse),
+            EdgeForce(chain(right), [0.0, 0.0, -0.4], pulse),
+            EdgeForce(chain(left[-half - 1 :]), [0.0, 0.0, 0.4], pulse),
+            EdgeForce(chain(right[-half - 1 :]), [0.0, 0.0, -0.4], pulse),
         )
     return Scene(
         mesh,
@@ -109,7 +109,7 @@ def opened_cap(divisions: tuple[int, int] = (48, 10), force: float = 1.0, thickn
     _check_count("divisions[0]", around, 3)
     _check_count("divisions[1]", meridian, 1)
     radius, top, bottom = 12.16, math.radians(18.594), math.radians(55.668)
-    i, j = (k.ravel() for k in np.meshgrid(np.arange(meridian + 1), np.arange(around), indexing="ij"))
+    i, j = grid(np.arange(meridian + 1), np.arange(around))
     polar, azimuth = bottom + (top - bottom) * i / meridian, 2 * np.pi * j / around
     nodes = radius * np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], 1)
     ring = np.flatnonzero(i == meridian)
@@ -130,11 +130,6 @@ def opened_cap(divisions: tuple[int, int] = (48, 10), force: float = 1.0, thickn
             units="SI",
         ),
     )
-
-
-def _chain(nodes: np.ndarray) -> np.ndarray:
-    """Edges between neighbours in a list of nodes."""
-    return np.stack([nodes[:-1], nodes[1:]], 1)
 
 
 def _check_count(name: str, value, least: int) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxshell.model import generators
 from jaxshell.model.loads import EdgeForce, NodalForce, NodalMoment
-from jaxshell.model.mesh import Mesh, structured_triangles
+from jaxshell.model.mesh import Mesh, chain, grid, structured_triangles
 from jaxshell.model.scene import Scene
 from jaxshell.model.sections import Section
 from jaxshell.model.supports import Support, clamped, pinned, symmetry
@@ -31,7 +31,7 @@ def cantilever_end_shear(divisions: tuple[int, int] = (32, 2), force: float = 4.
         mesh,
         Section(0.1, 1.2e6, 0.0, _DENSITY),
         (clamped(mesh.nodes_where(lambda x: x[0] < 1e-9)),),
-        (EdgeForce(_chain(_tip(mesh, 10.0)), [0.0, 0.0, force]),),
+        (EdgeForce(chain(_tip(mesh, 10.0)), [0.0, 0.0, force]),),
         name="cantilever_end_shear",
         watch=_tip_watch(mesh, 10.0),
     )
@@ -65,7 +65,7 @@ def slit_annular_plate(divisions: tuple[int, int] = (10, 80), force: float = 0.8
     along +z. divisions = (radial, around). Watches "A" and "B" (uz), the loaded lip's inner and outer corner.
     """
     radial, around = divisions
-    i, j = (k.ravel() for k in np.meshgrid(np.arange(radial + 1), np.arange(around + 1), indexing="ij"))
+    i, j = grid(np.arange(radial + 1), np.arange(around + 1))
     r, angle = 6.0 + 4.0 * i / radial, 2 * np.pi * j / around
     mesh = Mesh(np.stack([r * np.cos(angle), r * np.sin(angle), 0 * r], 1), structured_triangles(radial, around))
     lip = np.flatnonzero(j == 0)
@@ -73,7 +73,7 @@ def slit_annular_plate(divisions: tuple[int, int] = (10, 80), force: float = 0.8
         mesh,
         Section(0.03, 21e6, 0.0, _DENSITY),
         (clamped(np.flatnonzero(j == around)),),
-        (EdgeForce(_chain(lip), [0.0, 0.0, force]),),
+        (EdgeForce(chain(lip), [0.0, 0.0, force]),),
         name="slit_annular_plate",
         watch={"A": (int(lip[0]), "uz"), "B": (int(lip[-1]), "uz")},
     )
@@ -154,10 +154,7 @@ def hinged_roof(divisions: tuple[int, int] = (16, 16), thickness: float = 12.7, 
     """
     radius, half, angle = 2540.0, 254.0, 0.1
     along, around = divisions
-    x, turn = (
-        k.ravel()
-        for k in np.meshgrid(np.linspace(0, half, along + 1), np.linspace(0, angle, around + 1), indexing="ij")
-    )
+    x, turn = grid(np.linspace(0, half, along + 1), np.linspace(0, angle, around + 1))
     mesh = Mesh(np.stack([x, radius * np.sin(turn), radius * np.cos(turn)], 1), structured_triangles(along, around))
     return Scene(
         mesh,
@@ -182,7 +179,7 @@ def hemisphere(divisions: tuple[int, int] = (16, 16), force: float = 100.0) -> S
     """
     around, rows = divisions
     radius = 10.0
-    i, j = (k.ravel() for k in np.meshgrid(np.arange(rows + 1), np.arange(around + 1), indexing="ij"))
+    i, j = grid(np.arange(rows + 1), np.arange(around + 1))
     polar, azimuth = np.radians(90.0 - 72.0 * i / rows), 0.5 * np.pi * j / around
     nodes = radius * np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], 1)
     # Rows climb towards the hole, so the outward normal asks for the second direction to run first.
@@ -222,7 +219,7 @@ def twisted_beam(divisions: tuple[int, int] = (24, 4), load: str = "in-plane") -
         mesh,
         Section(0.32, 29e6, 0.22, _DENSITY),
         (clamped(mesh.nodes_where(lambda x: x[0] < 1e-9)),),
-        (EdgeForce(_chain(_tip(mesh, length)), np.array(direction) / width),),
+        (EdgeForce(chain(_tip(mesh, length)), np.array(direction) / width),),
         name="twisted_beam",
         watch={"tip": (mesh.nearest_node([length, 0, 0]), component)},
     )
@@ -245,8 +242,3 @@ def _tip_watch(mesh: Mesh, length: float) -> dict[str, tuple[int, str]]:
     nodes = _tip(mesh, length)
     middle = int(nodes[nodes.size // 2])
     return {"tip u": (middle, "ux"), "tip w": (middle, "uz")}
-
-
-def _chain(nodes: np.ndarray) -> np.ndarray:
-    """Edges between neighbours in a list of nodes."""
-    return np.stack([nodes[:-1], nodes[1:]], 1)

@@ -22,7 +22,7 @@ Why in place: pardiso_mkl_jax also offers `factor`, which names an LU by a hash 
 compiled program would analyse again (30 to 120 ms).
 
 **Singular matrices** do not raise in Pardiso (it perturbs the pivot) or Dense: x comes back huge or not
-finite, and `relative_residual` is then far above round-off. KLU raises out of the compiled program when it
+finite, and |K x - b|/|b| is then far above round-off. KLU raises out of the compiled program when it
 meets a pivot that is exactly zero. Values that are not finite give an x that is not finite, with all three.
 """
 
@@ -40,7 +40,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Scalar, UInt64
+from jaxtyping import Array, Float, Int, UInt64
 
 from jaxshell.assembly.sparsity import SparsityPattern
 from jaxshell.numerics.checks import index_array, require_float64
@@ -262,15 +262,6 @@ def multiply(handle: Handle, values: Float[Array, " m"], x: Float[Array, " n"]) 
     return jax.ops.segment_sum(
         values * x[handle.indices], handle.rows, num_segments=handle.size, indices_are_sorted=True
     )
-
-
-def relative_residual(
-    handle: Handle, values: Float[Array, " m"], x: Float[Array, " n"], rhs: Float[Array, " n"]
-) -> Scalar:
-    """|K x - b| / |b| (Euclidean; 0 where b is 0): round-off for a regular matrix, not so for a singular."""
-    norm = jnp.linalg.norm(rhs)
-    error = jnp.linalg.norm(multiply(handle, values, x) - rhs)
-    return jnp.where(norm > 0.0, error / jnp.where(norm > 0.0, norm, 1.0), error)
 
 
 def linear_solve(
