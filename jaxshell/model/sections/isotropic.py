@@ -72,6 +72,7 @@ def isotropic(thickness, young_modulus, poisson_ratio, density) -> Resultants:
 
     The optimal β0 is (1 - 4ν²)/2, but never less than 0.01 (the bound acts from ν = 0.495).
     """
+    thickness, density = float_array(thickness), float_array(density)
     C = plane_stress_matrix(young_modulus, poisson_ratio)
     return Resultants(
         A=thickness * C,
