@@ -9,7 +9,7 @@ Writes `stability_map.json` (every figure), `stability_map.png`, and the tables:
 the output folder between its markers `<!-- map -->`, `<!-- limits -->` and `<!-- inside -->`, or where there is no
 such page into `stability_map.md`.
 
-Drift is (K + S - W)/max|W|, the energy that the method made (+) or lost (-) as part of the work of the loads.
+Drift is (K + S - W)/max|W|, the energy that the method made (+) or lost (-) as a fraction of the work of the loads.
 Newton may take 100 iterations here, each with its own factorization, so that a failure is the method's; where its
 default limit of 25 would have ended the run is recorded.
 """
@@ -327,7 +327,7 @@ def picture(rows: list[dict], path: Path) -> None:
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
     axes.set_title(
-        "Energy made or lost at the end, as part of the loads' work\nred: failed; orange: over 25 iterations",
+        "Energy made or lost at the end, as a fraction of the loads' work\nred: failed; orange: over 25 iterations",
         fontsize=8,
     )
     fig.colorbar(cm.ScalarMappable(norm, colours), ax=axes, label="largest |drift|", fraction=0.03)

@@ -2,7 +2,7 @@
 
 Each scene with `EnergyMomentum`, fixed steps beside controlled ones: how many steps it takes, rejected ones counted,
 until the error of the displacements is below what is wanted, and stays there with more of them. Errors are against a
-run of many small steps: root mean square over time and over a dozen nodes spread over the shell, as a part of the
+run of many small steps: root mean square over time and over a dozen nodes spread over the shell, as a fraction of the
 largest displacement. The picture is the opened cap's, whose steps grow until it buckles.
 """
 

@@ -24,7 +24,7 @@ from jaxshell.model.loads.pressure import pressure_force
 from jaxshell.solvers.iteration import Linear
 
 CLOSED = 1e-10
-"""Of the sum of the sizes of what is in balance, besides what Newton leaves at the free freedoms."""
+"""Of the sum of the sizes of what is in balance, besides what Newton leaves at the free degrees of freedom."""
 STEPS = 6
 NEWTON = js.Newton(tolerance=1e-13, max_iterations=100)
 """Random velocities of neighbouring nodes are no smooth motion; a few such starts take some thirty iterations."""
@@ -136,7 +136,7 @@ def march(scene, method, dt) -> March:
 
 
 def reactions(scene, found: March):
-    """(k, n, 6) each: the residuals at the held freedoms, and at the free ones, which Newton leaves."""
+    """(k, n, 6) each: the residuals at the held degrees of freedom, and at the free ones, which Newton leaves."""
     held = np.zeros(6 * N)
     held[scene.held_dofs] = 1.0
     carried = held.reshape(N, 6) * found.residual

@@ -1,4 +1,4 @@
-"""From elements to the structure: sums by gathers, the sparsity pattern, held freedoms."""
+"""From elements to the structure: sums by gathers, the sparsity pattern, held degrees of freedom."""
 
 import jax
 import jax.numpy as jnp

@@ -37,7 +37,7 @@ PATCH_TRIANGLES = np.array(
     ]
 )
 PATCH_AREA = 0.24 * 0.12
-INNER = np.arange(12, 24)  # the freedoms of nodes 4 to 7
+INNER = np.arange(12, 24)  # the degrees of freedom of nodes 4 to 7
 
 
 def assemble(element_stiffness, nodes, triangles, *material):
@@ -49,7 +49,7 @@ def assemble(element_stiffness, nodes, triangles, *material):
 
 
 def membrane_field(nodes, strain):
-    """Nodal freedoms of a constant strain with some rigid motion."""
+    """Nodal degrees of freedom of a constant strain with some rigid motion."""
     exx, eyy, gxy = strain
     x, y = nodes.T
     turn = 0.37
@@ -59,7 +59,7 @@ def membrane_field(nodes, strain):
 
 
 def bending_field(nodes, curvature):
-    """Nodal freedoms of a constant curvature (-w,xx, -w,yy, -2 w,xy) with some rigid motion."""
+    """Nodal degrees of freedom of a constant curvature (-w,xx, -w,yy, -2 w,xy) with some rigid motion."""
     kxx, kyy, kxy = curvature
     x, y = nodes.T
     w = 0.3 - 0.2 * x + 0.1 * y - 0.5 * (kxx * x**2 + kyy * y**2 + kxy * x * y)

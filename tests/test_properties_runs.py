@@ -1,6 +1,6 @@
 """Properties of whole runs under random loads: budgets of momentum and energy, numbering of nodes and triangles.
 
-Every budget counts the supports' reactions, which are what a step's balance leaves at the held freedoms. The budgets
+Every budget counts the supports' reactions, which are what a step's balance leaves at the held degrees of freedom. The budgets
 are each method's own sums over its steps, so that they close to the round-off of Newton's solution and not to the order
 of the method. Bathe's method and central differences: test_properties_budgets.py.
 """

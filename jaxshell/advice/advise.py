@@ -32,7 +32,7 @@ from jaxshell.results.solution import Solution
 from jaxshell.solvers.newton import Newton
 
 _MARGIN = 0.8
-"""Part of the tolerance that a configuration may use: the reference and the window are not everything."""
+"""Fraction of the tolerance that a configuration may use: the reference and the window are not everything."""
 _FINEST = 7
 """Halvings of the step tried for a method before it is given up."""
 _FEWEST = 8

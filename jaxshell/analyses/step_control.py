@@ -27,7 +27,7 @@ _STRETCH = 1.0 / _SAFETY
 _SHARED = 3
 """So many steps before a time to land on share what is left evenly."""
 _LATE = 0.1
-"""Of the time left, as a part of the run: no less is counted, so that the last steps are not careless."""
+"""Of the time left, as a fraction of the run: no less is counted, so that the last steps are not careless."""
 
 
 class Control(NamedTuple):
@@ -49,7 +49,7 @@ class StepControl(eqx.Module):
 
     Arguments:
         tolerance: of the local error of a step: the root mean square over the nodes of the estimated error in
-            displacement, as a part of the shell's size (the diagonal of its bounding box). For the run's first
+            displacement, as a fraction of the shell's size (the diagonal of its bounding box). For the run's first
             steps; later ones may err more, in inverse proportion to the time left, and up to ten times more.
         initial: first step to try [time].
         smallest, largest: limits of the step size [time]; None for initial/1e6 and no limit. A step that fails

@@ -8,7 +8,7 @@ from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import is_concrete
 
 _RANK = 1e-8
-"""A singular value of the supports' matrix below this part of the largest is none."""
+"""A singular value of the supports' matrix below this fraction of the largest counts as zero."""
 
 
 def check_supported(scene: Scene) -> None:

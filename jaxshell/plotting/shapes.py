@@ -18,7 +18,7 @@ COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.15, 1, 256)))
 """Perceptually uniform and monotone in grey; without its darkest end, in which edges and shades drown."""
 _AZIMUTH, _ELEVATION, _LOW_ELEVATION = math.radians(-60.0), math.radians(22.0), math.radians(11.0)
 _FLAT = 0.15
-"""A shell that never rises above this part of its width is seen from lower, or its height would not show."""
+"""A shell that never rises above this fraction of its width is seen from lower, or its height would not show."""
 _MOST_PANELS = 6
 
 
