@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.numerics import rotations
+from jaxshell.numerics.checks import Real
 from jaxshell.numerics.products import cross, dot, product
 
 
@@ -46,11 +47,11 @@ class Spins(eqx.Module):
 class StepFactors(NamedTuple):
     """The generalised mid-point's numbers, eqs. (13), (14), (91), (92): Newmark's β, γ, the α's, and Δt."""
 
-    beta: float | Float[Array, ""]
-    gamma: float | Float[Array, ""]
-    alpha_m: float | Float[Array, ""]
-    alpha_f: float | Float[Array, ""]
-    dt: float | Float[Array, ""]
+    beta: Real
+    gamma: Real
+    alpha_m: Real
+    alpha_f: Real
+    dt: Real
 
     def first(self, increment, rate, acceleration):
         """Velocity at the end of the step, eqs. (13), (104)."""

@@ -65,7 +65,7 @@ class Shared(NamedTuple):
     """Constants of the step that all elements share."""
 
     dt: Float[Array, ""]
-    dissipation: Float[Array, ""] | float
+    dissipation: Real
 
 
 class EnergyMomentum(ImplicitMethod):

@@ -9,7 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float
 
-Real = int | float | np.floating | Float[jax.Array, ""] | Float[np.ndarray, ""]
+Real = int | float | Float[jax.Array, ""]
 """A number that JAX may trace."""
 
 

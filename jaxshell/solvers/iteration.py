@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxshell.numerics.checks import Real
 from jaxshell.solvers.linear_solver import Handle, LinearSolver
 
 SUCCESSFUL, DIVERGED, STAGNATED, SINGULAR, STEP_TOO_SMALL, UNSTABLE = (np.int32(k) for k in range(6))
@@ -121,7 +122,7 @@ class Measure(NamedTuple):
     """The shell's size [length]."""
     rotates: Bool[Array, " nf"]
     """Which free degrees of freedom are rotations."""
-    max_rotation: Float[Array, ""] | float
+    max_rotation: Real
     """A correction is scaled down so that no nodal rotation in it exceeds this [rad]."""
 
     def correction(self, step, before) -> Correction:
