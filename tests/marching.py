@@ -104,7 +104,7 @@ def steps_of(scene, method, dt, tables, handle) -> March:
         )
 
     def unit_pressure(x):
-        return model.assemble_vector(jax.vmap(pressure_force, (0, None))(model.gather(x), 1.0))
+        return model.assemble_vector(jax.vmap(pressure_force, (0, None))(model.gather(x), 1.0).reshape(-1, 18))
 
     def step(carry, _):
         state, memory = carry

@@ -214,7 +214,7 @@ def test_failed_run_keeps_its_steps_and_says_so(finished, capsys):
         ),
         (["run", "cap", "--dt", "-1"], "dt must be positive, but it is -1.0"),
         (["run", "cap", "--save-every", "0"], "save_every must be a whole number of at least 1, but it is 0"),
-        (["run", "cap", "--spectral-radius", "2"], "spectral_radius must lie in [0, 1.0], but it is 2.0"),
+        (["run", "cap", "--spectral-radius", "2"], "spectral_radius must lie in [0, 1], but it is 2.0"),
         (["run", "cap", "--method", "all", "--dissipation", "0.1"], "for one method at a time"),
         (["run", "plate", "--divisions", "4"], "'plate' takes 2 divisions, but 1 are given"),
         (["run", __file__, "--divisions", "4"], "--divisions is for the library's scenes"),

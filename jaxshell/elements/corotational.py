@@ -134,7 +134,7 @@ def strain_energy(deformations, element: Element) -> Float[Array, ""]:
     return 0.5 * dot(deformations, stresses(deformations, element))
 
 
-def _moments(f) -> Float[Array, "3 3"]:
+def moments_of(f) -> Float[Array, "3 3"]:
     """(3, 3) moments conjugate to θ̄_a out of the 12 stresses."""
     return jnp.concatenate([f[6:].reshape(3, 2), f[3:6, None]], axis=1)
 
@@ -152,7 +152,7 @@ def spin_gradient(coordinates) -> Float[Array, "3 3 3"]:
 def local_forces(kin: Kinematics, f) -> Float[Array, "3 2 3"]:
     """Projected nodal forces and moments n̄_a, m̄_a = P̄ᵀ H̄ᵀ f̄ in the corotated frame. Shape (a, force/moment, 3)."""
     _, bx, by = kin.coordinates
-    moments = jax.vmap(lambda H, m: product(m, H))(kin.H, _moments(f))
+    moments = jax.vmap(lambda H, m: product(m, H))(kin.H, moments_of(f))
     # What turns the frame: the nodal moments (-Ḡ_b in eq. (67)) and the membrane forces at node 3.
     turning = -(moments[0] + moments[1] + moments[2]) + jnp.stack([0.0 * bx, 0.0 * bx, by * f[1] - bx * f[2]])
     forces = jax.vmap(lambda G: product(turning, G))(spin_gradient(kin.coordinates))
@@ -260,7 +260,7 @@ def moment_corrections(kin: Kinematics, f) -> Float[Array, "3 3 3"]:
         D = eta * (along * jnp.eye(3) + outer - 2.0 * outer.T) + mu * twice[:, None] * theta[None, :]
         return product(D - 0.5 * rotations.skew(m), H)
 
-    return jax.vmap(one)(kin.theta, _moments(f), kin.H)
+    return jax.vmap(one)(kin.theta, moments_of(f), kin.H)
 
 
 def moment_correction_stiffness(kin: Kinematics, f) -> GeometricParts:

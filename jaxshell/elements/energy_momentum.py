@@ -102,14 +102,9 @@ def _weights(element: Element):
     return 1.0 / (size_sq * size_sq), 1.0 / size_sq
 
 
-def _moments(f) -> Float[Array, "3 3"]:
-    """m̄_k, the entries of the 12 stresses that are conjugate to θ̄_k."""
-    return jnp.concatenate([f[6:].reshape(3, 2), f[3:6, None]], axis=1)
-
-
 def _pull(kin: Kinematics, f) -> Float[Array, "3 3"]:
     """μ_k = H(θ̄_k)ᵀ m̄_k."""
-    return dot(jnp.swapaxes(kin.H, 1, 2), _moments(f)[:, None])
+    return dot(jnp.swapaxes(kin.H, 1, 2), corotational.moments_of(f)[:, None])
 
 
 def _against_edges(coordinates, mu: Float[Array, "3 *c"]) -> Float[Array, "2 3 *c"]:

@@ -53,6 +53,12 @@ class StepFactors(NamedTuple):
     alpha_f: Real
     dt: Real
 
+    @classmethod
+    def of_spectral_radius(cls, rho, dt) -> "StepFactors":
+        """Those of Chung & Hulbert's generalised-α method, eq. (92), for the spectral radius ρ∞."""
+        alpha_m, alpha_f = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
+        return cls(0.25 * (1.0 - alpha_m + alpha_f) ** 2, 0.5 - alpha_m + alpha_f, alpha_m, alpha_f, dt)
+
     def first(self, increment, rate, acceleration):
         """Velocity at the end of the step, eqs. (13), (104)."""
         b, g, dt = self.beta, self.gamma, self.dt

@@ -226,10 +226,14 @@ class ImplicitMethod(Method):
         return found
 
     def work_of_loads(self, model: Model, state, begun: Begun, motion: Motion, u) -> Float[Array, ""]:
-        """Work of the loads and contributions of the balance on the increments u."""
+        """Work of the loads, the contributions and the moving supports of the balance on the increments u."""
         work = jnp.sum(begun.loads * u)
         for acting, force in self.following(model, state, begun, motion):
             work = work + jnp.sum(force * u[acting.nodes])
+        if model.moving:
+            # Supports that move work with the reaction, the residual at the held degrees of freedom.
+            reaction = self.balance(model, state, begun, u).residual.reshape(-1)[model.tables.held]
+            work = work + jnp.sum(reaction * u.reshape(-1)[model.tables.held])
         return work
 
     def following_matrices(self, model: Model, state, begun: Begun, u, tangent: str) -> list[tuple[Acting, Any]]:

@@ -21,7 +21,7 @@ from jaxshell.methods import predictor
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Motion, Observation
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import PredictedState
-from jaxshell.numerics.checks import Real, check_finite, is_concrete
+from jaxshell.numerics.checks import Real, check_within
 from jaxshell.numerics.products import cross, dot, product, scaled
 from jaxshell.numerics.rotations import cayley, skew
 
@@ -92,9 +92,7 @@ class EnergyMomentum(ImplicitMethod):
         self.dissipation = 0 if isinstance(dissipation, int | float) and dissipation == 0 else dissipation
 
     def __check_init__(self):
-        check_finite("dissipation", self.dissipation)
-        if is_concrete(self.dissipation) and not 0 <= self.dissipation <= 0.5:
-            raise ValueError(f"dissipation must lie in [0, 0.5], but it is {self.dissipation}.")
+        check_within("dissipation", self.dissipation, 0.0, 0.5)
 
     @property
     def _dissipates(self) -> bool:
@@ -192,10 +190,6 @@ class EnergyMomentum(ImplicitMethod):
         data, step = begun.data, begun.step
         work = self.work_of_loads(model, state, begun, motion, u)
         dissipated = state.dissipated
-        if model.moving:
-            # Supports that move work with the reaction, the residual at the held degrees of freedom.
-            reaction = self.balance(model, state, begun, u).residual.reshape(-1)[model.tables.held]
-            work = work + jnp.sum(reaction * u.reshape(-1)[model.tables.held])
         if self._dissipates:
             x, R = model.gather((motion.x, motion.R))
             kin = jax.vmap(corotational.kinematics)(x, R, model.elements)

@@ -30,7 +30,7 @@ from jaxshell.methods import predictor, seven_point
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
 from jaxshell.methods.state import PredictedState
-from jaxshell.numerics.checks import Real, check_finite, is_concrete
+from jaxshell.numerics.checks import Real, check_finite, check_within, is_concrete
 
 
 class NewmarkState(PredictedState):
@@ -211,12 +211,7 @@ class GeneralizedAlpha(ForceLevelMethod):
     spectral_radius: Real = 0.8
 
     def __check_init__(self):
-        check_finite("spectral_radius", self.spectral_radius)
-        if is_concrete(self.spectral_radius) and not 0.0 <= self.spectral_radius <= 1.0:
-            raise ValueError(f"spectral_radius must lie in [0, 1], but it is {self.spectral_radius}.")
+        check_within("spectral_radius", self.spectral_radius, 0.0, 1.0)
 
     def factors(self, dt) -> StepFactors:
-        rho = self.spectral_radius
-        alpha_m, alpha_f = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
-        gamma = 0.5 - alpha_m + alpha_f
-        return step_factors(0.25 * (gamma + 0.5) ** 2, gamma, alpha_m, alpha_f, dt)
+        return step_factors(*StepFactors.of_spectral_radius(self.spectral_radius, dt))

@@ -63,6 +63,13 @@ def check_positive(name: str, value, allow_zero: bool = False) -> None:
             raise ValueError(f"{name} must be {wanted}, but it is {array[index]}{where}.")
 
 
+def check_within(name: str, value, low: float, high: float) -> None:
+    """Raise ValueError unless `value`, one number, lies in [low, high]."""
+    check_finite(name, value)
+    if is_concrete(value) and not low <= value <= high:
+        raise ValueError(f"{name} must lie in [{low:g}, {high:g}], but it is {value}.")
+
+
 def check_shape(name: str, value, shape: tuple) -> None:
     """Raise ValueError when `value` has another shape; None in `shape` stands for any length."""
     actual = np.shape(value)
