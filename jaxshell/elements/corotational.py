@@ -25,15 +25,13 @@ from jaxshell.elements.bending import bending_stiffness
 from jaxshell.elements.membrane import membrane_stiffness
 from jaxshell.model.sections import Resultants
 from jaxshell.numerics import rotations
+from jaxshell.numerics.checks import Real
 from jaxshell.numerics.fusion import formed
 from jaxshell.numerics.products import columns_times, cross, dot, product, transposed_product
 
 # Rows of the 9×9 membrane (u, v, θz per node) and bending (w, θx, θy per node) stiffness that are kept.
 _MEMBRANE_KEPT = np.array([3, 6, 7, 2, 5, 8])
 _BENDING_KEPT = np.array([1, 2, 4, 5, 7, 8])
-
-
-Scalar = float | Float[Array, ""]
 
 
 class Element(eqx.Module):
@@ -284,7 +282,7 @@ def gradient_to_global(Lambda, kin: Kinematics) -> Float[Array, "r 18"]:
 
 
 def stiffness(
-    kin: Kinematics, f, element: Element, spin, material: Scalar = 1.0, geometric: Scalar = 1.0, average=None
+    kin: Kinematics, f, element: Element, spin, material: Real = 1.0, geometric: Real = 1.0, average=None
 ) -> Float[Array, "18 18"]:
     """Tangent stiffness in global axes, (18, 18), eq. (85), or eq. (97) at the generalised mid-point.
 

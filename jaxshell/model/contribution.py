@@ -11,6 +11,7 @@ contribution is; a `mean_force` that is also the mean in time of the force makes
 """
 
 import abc
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -59,13 +60,7 @@ class Contribution(eqx.Module):
 
     def stiffness(self, data, place: Place) -> Float[Array, "d d"]:
         """Derivative of `force` by displacements and spins (δx, δω) of the group."""
-
-        def moved(change):
-            change = change.reshape(-1, 6)
-            turned = jax.vmap(lambda spin, R: exp(spin) @ R)(change[:, 3:], place.R)
-            return self.force(data, place._replace(x=place.x + change[:, :3], R=turned)).reshape(-1)
-
-        return jax.jacfwd(moved)(jnp.zeros(6 * place.x.shape[0]))
+        return _derivative(lambda place: self.force(data, place), place)
 
     def mean_force(self, data, start: Place, end: Place) -> Float[Array, "c 6"]:
         """Force and moment over a step, for methods that conserve energy: by default half the sum of the ends'."""
@@ -73,10 +68,15 @@ class Contribution(eqx.Module):
 
     def mean_stiffness(self, data, start: Place, end: Place) -> Float[Array, "d d"]:
         """Derivative of `mean_force` by displacements and spins of the end of the step."""
+        return _derivative(lambda end: self.mean_force(data, start, end), end)
 
-        def moved(change):
-            change = change.reshape(-1, 6)
-            turned = jax.vmap(lambda spin, R: exp(spin) @ R)(change[:, 3:], end.R)
-            return self.mean_force(data, start, end._replace(x=end.x + change[:, :3], R=turned)).reshape(-1)
 
-        return jax.jacfwd(moved)(jnp.zeros(6 * end.x.shape[0]))
+def _derivative(force: Callable[[Place], Array], place: Place) -> Float[Array, "d d"]:
+    """Of `force` by displacements and spins (δx, δω) of the group at `place`."""
+
+    def moved(change):
+        change = change.reshape(-1, 6)
+        turned = jax.vmap(lambda spin, R: exp(spin) @ R)(change[:, 3:], place.R)
+        return force(place._replace(x=place.x + change[:, :3], R=turned)).reshape(-1)
+
+    return jax.jacfwd(moved)(jnp.zeros(6 * place.x.shape[0]))
