@@ -35,7 +35,7 @@ from jaxshell.files.quoted import quote
 from jaxshell.gradients import Gradients, Stored
 from jaxshell.methods.base import Method
 from jaxshell.model.scene import Scene
-from jaxshell.numerics.checks import check_positive, is_concrete, require_float64
+from jaxshell.numerics.checks import check_positive, check_positive_number, check_steps, is_concrete, require_float64
 from jaxshell.results.solution import RESULTS, Solution
 from jaxshell.solvers.iteration import SUCCESSFUL
 from jaxshell.solvers.linear_solver import LinearSolver
@@ -223,8 +223,11 @@ def _controlled(scene: Scene, method: Method, control: StepControl, t_end) -> Co
         )
     if t_end is None:
         raise ValueError("t_end, the duration of the run, is missing.")
-    check_positive("t_end", t_end)
+    check_positive_number("t_end", t_end)
     interval = t_end / 100 if control.output_interval is None else control.output_interval
+    if is_concrete(t_end) and is_concrete(control.initial):
+        for name, step in (("output_interval", interval), ("StepControl initial", control.initial)):
+            check_steps(step, max(step, t_end), name)
     outputs = np.append(np.arange(interval, t_end * (1 - 1e-9), interval), t_end)
     histories = [item.history for item in (*scene.loads, *scene.supports) if item.history is not None]
     kinks = np.concatenate([np.zeros(0), *(np.asarray(h.times) for h in histories if is_concrete(h.times))])
@@ -234,8 +237,11 @@ def _controlled(scene: Scene, method: Method, control: StepControl, t_end) -> Co
 
 
 def _step_sizes(dt, t_end):
-    dt = np.asarray(dt, float) if isinstance(dt, list | tuple) else dt
     check_positive("dt", dt)
+    if isinstance(dt, list | tuple):
+        dt = jnp.asarray(dt, float) if is_traced(dt) else np.asarray(dt, float)
+    if np.ndim(dt) > 1 or np.size(dt) == 0:
+        raise ValueError(f"dt must be one step size or a list of them, but it has shape {np.shape(dt)}.")
     if np.ndim(dt) == 1:
         if t_end is not None:
             raise ValueError("With an array of step sizes t_end follows from it: leave t_end out.")
@@ -244,7 +250,7 @@ def _step_sizes(dt, t_end):
         raise ValueError("t_end, the duration of the run, is missing.")
     if not (is_concrete(dt) and is_concrete(t_end)):
         raise ValueError("The number of steps must be known: pass an array of step sizes to trace dt or t_end.")
-    check_positive("t_end", t_end)
+    check_steps(dt, t_end)
     count = max(1, int(np.ceil(float(t_end) / float(dt) * (1 - 1e-10))))
     steps = np.full(count, float(dt))
     steps[-1] = float(t_end) - (count - 1) * float(dt)

@@ -16,7 +16,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxshell.numerics.checks import Real, check_positive, is_concrete
+from jaxshell.numerics.checks import Real, check_number, check_positive_number, is_concrete, is_infinite
 
 _SAFETY, _LEAST, _MOST = 0.85, 0.25, 4.0
 """Aim below the tolerance, and change the step by no more than these factors at once."""
@@ -73,6 +73,7 @@ class StepControl(eqx.Module):
     horizon: Real | None
 
     def __init__(self, tolerance, initial, smallest=None, largest=None, output_interval=None, horizon=None):
+        check_number("StepControl initial", initial)
         self.tolerance = tolerance
         self.initial = initial
         self.smallest = 1e-6 * initial if smallest is None else smallest
@@ -81,14 +82,17 @@ class StepControl(eqx.Module):
         self.horizon = horizon
 
     def __check_init__(self):
-        check_positive("StepControl tolerance", self.tolerance)
-        check_positive("StepControl initial", self.initial)
-        check_positive("StepControl smallest", self.smallest)
+        check_positive_number("StepControl tolerance", self.tolerance)
+        check_positive_number("StepControl initial", self.initial)
+        check_positive_number("StepControl smallest", self.smallest)
+        if not is_infinite(self.largest):
+            check_positive_number("StepControl largest", self.largest)
         if self.output_interval is not None:
-            check_positive("StepControl output_interval", self.output_interval)
-        if self.horizon is not None and self.horizon != float("inf"):
-            check_positive("StepControl horizon", self.horizon)
-        if is_concrete(self.initial) and not self.smallest <= self.initial <= self.largest:
+            check_positive_number("StepControl output_interval", self.output_interval)
+        if self.horizon is not None and not is_infinite(self.horizon):
+            check_positive_number("StepControl horizon", self.horizon)
+        limits = self.smallest, self.initial, self.largest
+        if all(map(is_concrete, limits)) and not self.smallest <= self.initial <= self.largest:
             raise ValueError(
                 f"StepControl needs smallest <= initial <= largest, but they are {self.smallest}, {self.initial} "
                 f"and {self.largest}."

@@ -44,7 +44,7 @@ def _about_as_many_elements(name: str, divisions: Sequence[int] | None) -> int:
             found = divisions or default_divisions(BY_NAME[name])
         counts = [found] if isinstance(found, int) else [*found]
         return 2 * math.prod(counts if len(counts) > 1 else 2 * counts)
-    except (KeyError, OSError, TypeError, ValueError):
+    except (AttributeError, KeyError, OSError, OverflowError, RecursionError, TypeError, ValueError):
         return 0  # What is wrong with it is said when the scene is made.
 
 
@@ -79,6 +79,8 @@ def _counts(name: str, divisions: Sequence[int]):
     from jaxshell.scenes import BY_NAME, default_divisions
 
     default = default_divisions(BY_NAME[name])
+    if min(divisions) < 1:
+        raise ValueError(f"--divisions must be whole numbers of at least 1, but are {' '.join(map(str, divisions))}.")
     count = len(default) if isinstance(default, tuple) else 1
     if len(divisions) != count:
         raise ValueError(f"The scene {name!r} takes {count} divisions, but {len(divisions)} are given.")

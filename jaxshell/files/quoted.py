@@ -1,4 +1,7 @@
-"""Objects with plain arguments as text, such as "Newton(tolerance=1e-08, ...)": what a file quotes of its run."""
+"""Objects with plain arguments as text, such as "Newton(tolerance=1e-08, ...)": what a file quotes of its run.
+
+And text as a part of a file's name, whoever wrote it.
+"""
 
 import ast
 import math
@@ -21,7 +24,7 @@ def parts(text: str) -> tuple[str, dict[str, Any]]:
         if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name)) or call.args:
             raise wrong
         return call.func.id, {str(argument.arg): _value(argument.value) for argument in call.keywords}
-    except (SyntaxError, TypeError, ValueError) as error:
+    except (SyntaxError, TypeError, ValueError, RecursionError, MemoryError) as error:
         raise wrong from error
 
 
@@ -35,6 +38,15 @@ def unquote(text: str, kinds: Mapping[str, Any]) -> Any:
         return kinds[name](**arguments)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{text!r} is not one of {', '.join(kinds)} as this version of jaxshell has them.") from error
+
+
+def file_part(text: str, otherwise: str = "scene") -> str:
+    """Any text as a part of a file's name: letters, digits, ".", "_" and "-", the rest as "_".
+
+    It names no folder, no hidden file and nothing longer than 100 characters; `otherwise` where nothing is left.
+    """
+    plain = "".join(c if c.isalnum() or c in "._-" else "_" for c in text).lstrip(".")
+    return plain.encode("utf-8", "ignore")[:100].decode("utf-8", "ignore") or otherwise
 
 
 def _value(node: ast.expr) -> Any:

@@ -7,6 +7,7 @@ command line. This file imports no JAX, since the command line reads it first.
 import argparse
 import dataclasses
 import math
+import reprlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -160,13 +161,16 @@ def _checked(field: dataclasses.Field, value: Any) -> Any:
     wanted = _WORDS.get(kind) or "one of " + ", ".join(choices)
     found = _CHECKS[kind](value, choices)
     if found is None:
-        raise ValueError(f"{field.name} must be {wanted}, but it is {value!r}.")
+        raise ValueError(f"{field.name} must be {wanted}, but it is {reprlib.repr(value)}.")
     return found
 
 
 def _number(value: Any, _=()) -> float | None:
     whole_or_float = isinstance(value, int | float) and not isinstance(value, bool)
-    return float(value) if whole_or_float and not math.isnan(value) else None
+    try:
+        return float(value) if whole_or_float and not math.isnan(value) else None
+    except OverflowError:
+        return None  # an integer beyond the floats
 
 
 def _list_of(check):

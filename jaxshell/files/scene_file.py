@@ -1,7 +1,8 @@
 """Scenes written as TOML files, for the command line; `examples/cantilever.toml` shows every table.
 
     name, units ("SI" puts units on the pictures' axes)
-    [mesh]         generator and its arguments (see `jaxshell.model.generators`), or file (whatever meshio reads)
+    [mesh]         generator and its arguments (see `jaxshell.model.generators`), or file (whatever meshio reads) with
+                   quads ("split", "error"), merge (a tolerance), orient (true), coincident ("allow"): see `Mesh.read`
     [section]      thickness, young_modulus, poisson_ratio, density; kind = "isotropic" where it is not left out
     [[supports]]   nodes; hold = "clamped", "pinned", "symmetry x" or list; displacement, history
     [[loads]]      kind = "force", "moment", "edge force", "gravity", "pressure" or "normal force"; nodes; its
@@ -16,6 +17,7 @@ Nodes are chosen by `nodes = [...]`, `nearest = [x, y, z]`, `plane = { x = 0.0 }
 `{ ramp = t }`; without one the load acts, whole, from the start.
 """
 
+import contextlib
 import dataclasses
 import inspect
 import tomllib
@@ -29,10 +31,13 @@ from jaxshell.model.generators import GENERATORS
 from jaxshell.model.history import History
 from jaxshell.model.loads import LOADS, Load
 from jaxshell.model.mesh import Mesh
+from jaxshell.model.mesh_file import is_file
 from jaxshell.model.scene import Defaults, Initial, Scene
 from jaxshell.model.sections import SECTIONS, AnySection, Section
 from jaxshell.model.supports import ALL, Support, symmetry
+from jaxshell.numerics.checks import check_finite, float_array, shown, whole_array
 
+_READING = ("quads", "merge", "orient", "coincident")
 _SELECTORS = ("nodes", "nearest", "plane", "box", "boundary")
 _LOADS = {load.kind: load for load in LOADS}
 _SECTIONS = {section.kind: section for section in SECTIONS}
@@ -47,12 +52,13 @@ def read_scene_file(path) -> tuple[Scene, RunSettings]:
     the table for whatever is wrong in it, unknown keys included.
     """
     path = Path(path)
-    if not path.is_file():
+    if not is_file(path):
         raise FileNotFoundError(f"There is no file {path}.")
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is not a valid TOML file: {error}") from error
+    except (ValueError, RecursionError) as error:
+        reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
+        raise ValueError(f"{path} is not a valid TOML file: {reason}") from error
     try:
         return _scene(content, path)
     except (ValueError, TypeError) as error:
@@ -72,21 +78,21 @@ def _scene(content: dict, path: Path) -> tuple[Scene, RunSettings]:
         [_support(table, mesh) for table in top.tables("supports")],
         [_load(table, mesh) for table in top.tables("loads")],
         initial=_initial(top.table("initial", optional=True), mesh),
-        name=str(content.get("name", path.stem)),
+        name=top.text("name", path.stem),
         watch=_watch(top.table("watch", optional=True), mesh),
-        defaults=_defaults(settings, str(content.get("units", ""))),
+        defaults=_defaults(settings, top.text("units", "")),
     )
     return scene, settings
 
 
 def _mesh(table: "_Table", folder: Path) -> Mesh:
     if "file" in table.content:
-        table.only("file")
-        file = folder / table.get("file")
-        if not file.is_file():
-            raise ValueError(f"[mesh] There is no file {file}.")
-        return table.call(Mesh.read, file)
-    name = table.get("generator")
+        table.only("file", *_READING)
+        file = folder / table.text("file")
+        if not is_file(file):
+            raise ValueError(f"[mesh] There is no file {shown(str(file))}.")
+        return table.call(Mesh.read, file, **{key: table.get(key) for key in _READING if key in table.content})
+    name = table.text("generator")
     if name not in GENERATORS:
         raise ValueError(f"[mesh] generator must be one of {', '.join(GENERATORS)}, but it is {name!r}.")
     generator = GENERATORS[name]
@@ -99,7 +105,7 @@ def _mesh(table: "_Table", folder: Path) -> Mesh:
 
 
 def _section(table: "_Table") -> AnySection:
-    name = table.content.get("kind", Section.kind)
+    name = table.text("kind", Section.kind)
     if name not in _SECTIONS:
         choices = ", ".join(repr(choice) for choice in _SECTIONS)
         raise ValueError(f"{table.name} kind must be one of {choices}, but it is {name!r}.")
@@ -119,7 +125,7 @@ def _support(table: "_Table", mesh: Mesh) -> Support:
         if hold not in _HOLD:
             choices = ", ".join(repr(name) for name in _HOLD)
             raise ValueError(
-                f"{table.name} hold must be one of {choices} or a list of degrees of freedom, but it is {hold!r}."
+                f"{table.name} hold must be one of {choices} or a list of degrees of freedom, but it is {shown(hold)}."
             )
         hold = _HOLD[hold]
     displacement = table.content.get("displacement")
@@ -127,7 +133,7 @@ def _support(table: "_Table", mesh: Mesh) -> Support:
 
 
 def _load(table: "_Table", mesh: Mesh) -> Load:
-    name = table.get("kind")
+    name = table.text("kind")
     if name not in _LOADS:
         choices = ", ".join(repr(choice) for choice in _LOADS)
         raise ValueError(f"{table.name} kind must be one of {choices}, but it is {name!r}.")
@@ -167,7 +173,7 @@ def _watch(table: "_Table", mesh: Mesh) -> dict[str, tuple[int, str]]:
             node = inner.get("node")
         else:
             node = mesh.nearest_node(inner.vectors("nearest", (3,)))
-        found[label] = (node, inner.get("component"))
+        found[label] = (node, inner.text("component"))
     return found
 
 
@@ -197,11 +203,10 @@ def _nodes(table: "_Table", mesh: Mesh) -> np.ndarray:
         raise ValueError(f"{table.name} chooses no nodes; give one of {', '.join(_SELECTORS)}.")
     for name in given:
         if name == "nodes":
-            numbers = np.atleast_1d(table.get(name))
-            if numbers.dtype.kind != "i" or np.any((numbers < 0) | (numbers >= len(x))):
-                raise ValueError(
-                    f"{table.name} nodes must be numbers from 0 to {len(x) - 1}, but are {table.get(name)}."
-                )
+            wanted = f"numbers from 0 to {len(x) - 1}"
+            numbers = np.atleast_1d(table.call(whole_array, name, table.get(name), wanted))
+            if numbers.ndim > 1 or np.any((numbers < 0) | (numbers >= len(x))):
+                raise ValueError(f"{table.name} nodes must be {wanted}, but are {shown(table.get(name))}.")
             mask = np.isin(np.arange(len(x)), numbers)
         elif name == "nearest":
             mask = np.arange(len(x)) == mesh.nearest_node(table.vectors(name, (3,)))
@@ -209,14 +214,14 @@ def _nodes(table: "_Table", mesh: Mesh) -> np.ndarray:
             plane = table.table(name)
             plane.only("x", "y", "z")
             mask = np.ones(len(x), bool)
-            for axis, value in plane.content.items():
-                mask &= np.abs(x[:, "xyz".index(axis)] - value) <= tolerance
+            for axis in plane.content:
+                mask &= np.abs(x[:, "xyz".index(axis)] - plane.vectors(axis, ())) <= tolerance
         elif name == "box":
             low, high = table.vectors(name, (2, 3))
             mask = np.all((x >= low - tolerance) & (x <= high + tolerance), axis=1)
         else:
             if table.get(name) is not True:
-                raise ValueError(f"{table.name} boundary must be true or left out, but it is {table.get(name)!r}.")
+                raise ValueError(f"{table.name} boundary must be true or left out, but it is {shown(table.get(name))}.")
             mask = np.isin(np.arange(len(x)), mesh.boundary_edges())
         chosen &= mask
     if not chosen.any():
@@ -233,7 +238,7 @@ class _Table:
 
     def __init__(self, name: str, content):
         if not isinstance(content, dict):
-            raise ValueError(f"{name} must be a table, but it is {content!r}.")
+            raise ValueError(f"{name} must be a table, but it is {shown(content)}.")
         self.name, self.content = name, content
 
     def only(self, *known: str) -> None:
@@ -248,15 +253,22 @@ class _Table:
         return self.content[key]
 
     def vectors(self, key: str, shape: tuple[int, ...]) -> np.ndarray:
-        """A key's numbers as an array of the given shape."""
-        try:
-            array = np.asarray(self.get(key), float)
-        except (TypeError, ValueError):
-            array = np.zeros(0)
-        if array.shape != shape:
-            wanted = "[x, y, z]" if shape == (3,) else "[[x, y, z], [x, y, z]]"
-            raise ValueError(f"{self.name} {key} must be {wanted}, but it is {self.get(key)!r}.")
+        """A key's finite numbers as an array of the given shape."""
+        value, array = self.get(key), None
+        with contextlib.suppress(ValueError):
+            array = np.asarray(float_array(value))
+        if array is None or array.shape != shape:
+            wanted = {(): "a number", (3,): "[x, y, z]"}.get(shape, "[[x, y, z], [x, y, z]]")
+            raise ValueError(f"{self.name} {key} must be {wanted}, but it is {shown(value)}.")
+        self.call(check_finite, key, array)
         return array
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """A key that holds text; it may be left out where there is a default."""
+        value = self.get(key) if default is None else self.content.get(key, default)
+        if not isinstance(value, str):
+            raise ValueError(f"{self.name} {key} must be a text, but it is {shown(value)}.")
+        return value
 
     def table(self, key: str, optional: bool = False) -> "_Table":
         name = f"[{key}]" if self.name == "the file" else f"{self.name} {key}"

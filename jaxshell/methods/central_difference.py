@@ -27,7 +27,7 @@ from jaxshell.methods.base import Method, Observation, StepInfo
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import MovingState
 from jaxshell.model.scene import Scene
-from jaxshell.numerics.checks import check_finite, is_concrete
+from jaxshell.numerics.checks import check_number, is_concrete
 from jaxshell.numerics.compiled import compiled
 from jaxshell.numerics.rotations import exp
 from jaxshell.solvers.iteration import SUCCESSFUL, UNSTABLE
@@ -80,8 +80,8 @@ class CentralDifference(Method):
     safety: float = eqx.field(static=True, default=0.9)
 
     def __check_init__(self):
-        check_finite("safety", self.safety)
-        if not 0.0 < self.safety <= 1.0:
+        check_number("safety", self.safety)
+        if not is_concrete(self.safety) or not 0.0 < self.safety <= 1.0:
             raise ValueError(f"safety must lie in (0, 1], but it is {self.safety}.")
 
     def critical_step(self, scene: Scene) -> float:

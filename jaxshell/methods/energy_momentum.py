@@ -89,7 +89,8 @@ class EnergyMomentum(ImplicitMethod):
 
     def __init__(self, dissipation=0.0):
         # An exact zero is held as an integer: floats become traced numbers, integers stay in the program's text.
-        self.dissipation = 0 if isinstance(dissipation, int | float) and dissipation == 0 else dissipation
+        is_zero = isinstance(dissipation, int | float) and not isinstance(dissipation, bool) and dissipation == 0
+        self.dissipation = 0 if is_zero else dissipation
 
     def __check_init__(self):
         check_within("dissipation", self.dissipation, 0.0, 0.5)

@@ -21,7 +21,7 @@ from jaxshell.methods import predictor, seven_point, traditional
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
 from jaxshell.methods.state import PredictedState
-from jaxshell.numerics.checks import Real, check_within
+from jaxshell.numerics.checks import Real, check_choice, check_within
 
 
 class GEMState(PredictedState):
@@ -83,8 +83,8 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
     def __check_init__(self):
         check_within("spectral_radius", self.spectral_radius, 0.0, 1.0)
         check_within("dissipation", self.dissipation, 0.0, 0.5)
-        _check_choice("initial_acceleration", self.initial_acceleration, ("consistent", "zero"))
-        _check_choice("inertia", self.inertia, ("seven_point", "traditional", "none"))
+        check_choice("initial_acceleration", self.initial_acceleration, ("consistent", "zero"))
+        check_choice("inertia", self.inertia, ("seven_point", "traditional", "none"))
 
     def factors(self, dt) -> StepFactors:
         """β, γ, α_m, α_f of eq. (92)."""
@@ -211,8 +211,3 @@ def _weighted(kin: Kinematics, start: Kinematics, step: Shared) -> Float[Array, 
     """Deformations weighted as in eq. (93)."""
     alpha, xi = step.factors.alpha_f, step.xi
     return (1.0 - alpha + xi) * kin.deformations + (alpha - xi) * start.deformations
-
-
-def _check_choice(name: str, value: Any, choices: tuple[str, ...]) -> None:
-    if value not in choices:
-        raise ValueError(f"{name} must be one of {', '.join(choices)}, but it is {value!r}.")

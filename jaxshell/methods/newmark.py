@@ -30,7 +30,7 @@ from jaxshell.methods import predictor, seven_point
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
 from jaxshell.methods.state import PredictedState
-from jaxshell.numerics.checks import Real, check_finite, check_within, is_concrete
+from jaxshell.numerics.checks import Real, check_number, check_within, is_concrete
 
 
 class NewmarkState(PredictedState):
@@ -168,8 +168,8 @@ class Newmark(ForceLevelMethod):
     gamma: Real = 0.5
 
     def __check_init__(self):
-        check_finite("beta", self.beta)
-        check_finite("gamma", self.gamma)
+        check_number("beta", self.beta)
+        check_number("gamma", self.gamma)
         if is_concrete(self.gamma) and self.gamma < 0.5:
             raise ValueError(f"gamma must be at least 0.5, or oscillations grow, but it is {self.gamma}.")
         if is_concrete(self.beta) and is_concrete(self.gamma) and self.beta < 0.5 * self.gamma:
@@ -191,7 +191,7 @@ class HHT(ForceLevelMethod):
     alpha: Real = -0.05
 
     def __check_init__(self):
-        check_finite("alpha", self.alpha)
+        check_number("alpha", self.alpha)
         if is_concrete(self.alpha) and not -1.0 / 3.0 <= self.alpha <= 0.0:
             raise ValueError(f"alpha must lie in [-1/3, 0], but it is {self.alpha}.")
 

@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 
-from jaxshell.model.mesh import Mesh, grid, structured_triangles
+from jaxshell.model.mesh import Mesh, check_size, grid, structured_triangles
+from jaxshell.numerics.checks import check_positive_number, is_concrete, shown, whole_array
 
 
 def rectangle(length, width, divisions) -> Mesh:
     """0 ≤ x ≤ `length`, 0 ≤ y ≤ `width`, z = 0, normal +z; `divisions` (along x, along y)."""
-    columns, rows = _counts("rectangle", divisions, (1, 1))
+    columns, rows = counts("rectangle", divisions, (1, 1))
     _positive(length=length, width=width)
     x, y = grid(np.linspace(0, length, columns + 1), np.linspace(0, width, rows + 1))
     return Mesh(np.stack([x, y, 0 * x], 1), structured_triangles(columns, rows))
@@ -21,10 +22,10 @@ def cylinder(radius, length, divisions, angle=360.0) -> Mesh:
     `angle` [degrees] around, from the +y axis towards +z; 360 closes it. `divisions` (along, around).
     """
     _positive(radius=radius, length=length, angle=angle)
-    if angle > 360:
+    if not is_concrete(angle) or angle > 360:
         raise ValueError(f"angle must be at most 360 degrees, but it is {angle}.")
     closed = angle == 360
-    rows, around = _counts("cylinder", divisions, (1, 3 if closed else 1))
+    rows, around = counts("cylinder", divisions, (1, 3 if closed else 1))
     turns = np.radians(angle) * np.arange(around + (not closed)) / around
     x, turn = grid(np.linspace(0, length, rows + 1), turns)
     nodes = np.stack([x, radius * np.cos(turn), radius * np.sin(turn)], 1)
@@ -38,7 +39,8 @@ def spherical_cap(radius, half_angle, divisions) -> Mesh:
     A square grid of 2·`divisions` squared cells drawn onto the cap: a node at the apex, no tiny triangles,
     normals outwards. The rim is the mesh's boundary.
     """
-    (count,) = _counts("spherical_cap", [divisions], (1,))
+    (count,) = counts("spherical_cap", divisions, (1,))
+    check_size(2 * count, 2 * count)
     _positive(radius=radius, half_angle=half_angle)
     if half_angle >= 180:
         raise ValueError(f"half_angle must be below 180 degrees, but it is {half_angle}.")
@@ -57,8 +59,8 @@ def spherical_zone(radius, top, bottom, divisions) -> Mesh:
 
     `divisions` (around, along the meridian).
     """
-    around, rows = _counts("spherical_zone", divisions, (3, 1))
-    _positive(radius=radius, top=top)
+    around, rows = counts("spherical_zone", divisions, (3, 1))
+    _positive(radius=radius, top=top, bottom=bottom)
     if not top < bottom < 180:
         raise ValueError(f"Angles must fulfil 0 < top < bottom < 180 degrees, but are top {top}, bottom {bottom}.")
     polar, azimuth = grid(np.radians(np.linspace(top, bottom, rows + 1)), 2 * math.pi * np.arange(around) / around)
@@ -73,15 +75,16 @@ def _on_sphere(radius, polar, azimuth) -> np.ndarray:
     return radius * np.stack(points, 1)
 
 
-def _counts(shape: str, divisions, least: tuple[int, ...]) -> list[int]:
-    counts = np.atleast_1d(divisions)
-    if len(counts) != len(least) or counts.dtype.kind != "i" or np.any(counts < least):
-        wanted = " and ".join(str(n) for n in least)
-        raise ValueError(f"divisions of a {shape} must be whole numbers of at least {wanted}, but are {divisions!r}.")
-    return [int(n) for n in counts]
+def counts(shape: str, divisions, least: tuple[int, ...]) -> list[int]:
+    """Divisions of a mesh, one number for each of `least`. Raises ValueError for others, and for too many triangles."""
+    wanted = f"whole numbers of at least {' and '.join(str(n) for n in least)}"
+    found = np.atleast_1d(whole_array(f"divisions of a {shape}", divisions, wanted))
+    if found.shape != (len(least),) or np.any(found < least):
+        raise ValueError(f"divisions of a {shape} must be {wanted}, but are {shown(divisions)}.")
+    check_size(int(found[0]), int(found[-1]) if len(found) > 1 else 1)
+    return [int(n) for n in found]
 
 
 def _positive(**values) -> None:
     for name, value in values.items():
-        if not (np.ndim(value) == 0 and value > 0):
-            raise ValueError(f"{name} must be positive, but it is {value!r}.")
+        check_positive_number(name, value)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxshell.numerics.checks import check_finite, check_shape, float_array, is_concrete
+from jaxshell.numerics.checks import check_finite, check_positive_number, check_shape, floats, is_concrete
 
 
 class History(eqx.Module):
@@ -15,13 +15,17 @@ class History(eqx.Module):
     Arguments:
         times: (k,) increasing sample times.
         values: (k,) factors at these times. Differentiable.
+
+    Raises ValueError for anything but finite numbers, times that do not increase, and another number of values.
     """
 
-    times: Float[jax.Array, " k"] = eqx.field(converter=float_array)
-    values: Float[jax.Array, " k"] = eqx.field(converter=float_array)
+    times: Float[jax.Array, " k"] = eqx.field(converter=floats("history times"))
+    values: Float[jax.Array, " k"] = eqx.field(converter=floats("history values"))
 
     def __check_init__(self):
         check_shape("history times", self.times, (None,))
+        if self.times.size == 0:
+            raise ValueError("A history needs at least one sample, but its times are empty.")
         check_shape("history values", self.values, self.times.shape)
         check_finite("history times", self.times)
         check_finite("history values", self.values)
@@ -38,5 +42,6 @@ class History(eqx.Module):
 
     @classmethod
     def ramp(cls, end) -> "History":
-        """Factor t/end up to t = end, then 1."""
+        """Factor t/end up to t = end, then 1. Raises ValueError unless `end` is positive."""
+        check_positive_number("The end of a ramp", end)
         return cls([0.0, end], [0.0, 1.0])

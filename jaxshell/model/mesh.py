@@ -1,14 +1,68 @@
 """Triangle meshes: nodes, connectivity, the checks that a shell needs, selections, and import through meshio."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxshell.numerics.checks import check_finite, check_shape, float_array, is_concrete, require_float64
+from jaxshell.model import repair
+from jaxshell.model.mesh_file import read_cells
+from jaxshell.numerics.checks import (
+    check_choice,
+    check_finite,
+    check_positive_number,
+    check_shape,
+    check_switch,
+    float_array,
+    is_concrete,
+    require_float64,
+    shown,
+    whole_array,
+)
 from jaxshell.numerics.frozen import Frozen
+
+MOST_TRIANGLES = 2_000_000
+"""More are refused where meshes are generated: their tangent alone, of six million unknowns, fills gigabytes."""
+_SLIVER = 1e5
+"""Longest edge over height of a triangle that statics still bears (tests/test_mesh_scene.py)."""
+_SIZES = (1e-50, 1e50)
+"""Sizes of a shell whose fourth power, an area squared, is still a number."""
+
+
+class _OfMeshOrArrays:
+    """A cure as a method: `Mesh.cure(nodes, triangles, ...)`, or `mesh.cure(...)` of a mesh that exists."""
+
+    def __init__(self, function):
+        self.function, self.__doc__ = function, function.__doc__
+
+    def __get__(self, instance, owner) -> Any:
+        if instance is None:
+            return self.function
+        return lambda *arguments, **named: self.function(instance.nodes, instance.triangles, *arguments, **named)
+
+
+def _merged(nodes, triangles, tolerance, *, orient: bool = False, coincident: str = "error") -> "Mesh":
+    """The mesh with all nodes no further than `tolerance` [length] apart made one, at the place of the first.
+
+    For faces that touch without sharing nodes, as CAD programs write them. Nodes that no triangle uses are dropped.
+    `orient` and `coincident` as in `Mesh.read`. Raises ValueError where the tolerance reaches an edge.
+    """
+    check_positive_number("tolerance", tolerance)
+    check_switch("orient", orient)
+    nodes, triangles = repair.merged(*_arrays(nodes, triangles), float(tolerance))
+    return Mesh(nodes, repair.oriented(triangles) if orient else triangles, coincident=coincident)
+
+
+def _oriented(nodes, triangles, *, coincident: str = "error") -> "Mesh":
+    """The mesh with triangles turned where neighbours disagree on the normal; each part goes by its first triangle.
+
+    Raises ValueError for a surface that has no orientation, such as a Möbius strip.
+    """
+    nodes, triangles = _arrays(nodes, triangles)
+    return Mesh(nodes, repair.oriented(triangles), coincident=coincident)
 
 
 class Mesh(eqx.Module):
@@ -18,29 +72,39 @@ class Mesh(eqx.Module):
         nodes: (n, 3) coordinates of the stress-free shape, in the user's unit of length. Differentiable.
         triangles: (m, 3) node indices, counted from 0. The right-hand rule gives the element's normal;
             neighbours must agree on it. The element's first axis is parallel to its edge 1-2.
+        coincident: what is done where nodes lie in one place (closer than 1e-6 of the edges there) and no triangle
+            joins them: "error", since two faces that only seem to be one fall apart, or "allow" where it is meant, as
+            at the lips of a slit.
 
-    Raises ValueError for indices out of range, repeated nodes or triangles, zero areas, neighbours with
-    opposite normals, unused nodes, NaN; RuntimeError when JAX has float64 switched off.
+    `Mesh.merged` joins coincident nodes and `Mesh.oriented` turns triangles, both from the same arrays.
+
+    Raises ValueError for indices out of range, repeated nodes or triangles, zero areas, slivers (longest edge over
+    height above 1e5), neighbours with opposite normals, coincident and unused nodes, NaN; RuntimeError when JAX has
+    float64 switched off.
     """
 
     nodes: Float[jax.Array, "n 3"] = eqx.field(converter=float_array)
     connectivity: Frozen = eqx.field(static=True)
 
-    def __init__(self, nodes, triangles):
-        require_float64()
-        self.nodes = float_array(nodes)
-        triangles = triangles.array if isinstance(triangles, Frozen) else np.asarray(triangles)
-        if not np.issubdtype(triangles.dtype, np.integer):
-            raise ValueError(f"triangles must be integers, but their type is {triangles.dtype}.")
-        self.connectivity = Frozen(triangles)
+    merged = _OfMeshOrArrays(_merged)
+    oriented = _OfMeshOrArrays(_oriented)
 
-    def __check_init__(self):
+    def __init__(self, nodes, triangles, *, coincident: str = "error"):
+        require_float64()
+        self.nodes = float_array(nodes, "nodes")
+        triangles = (
+            triangles.array if isinstance(triangles, Frozen) else whole_array("triangles", triangles, "integers")
+        )
+        self.connectivity = Frozen(triangles)
+        check_choice("coincident", coincident, ("error", "allow"))
         check_shape("nodes", self.nodes, (None, 3))
         check_shape("triangles", self.triangles, (None, 3))
         check_finite("nodes", self.nodes)
         _check_connectivity(self.triangles, self.n_nodes)
         if is_concrete(self.nodes):
-            _check_areas(np.asarray(self.nodes), self.triangles)
+            _check_shapes(np.asarray(self.nodes), self.triangles)
+            if coincident == "error":
+                _check_coincident(np.asarray(self.nodes), self.triangles)
 
     @property
     def triangles(self) -> np.ndarray:
@@ -58,44 +122,64 @@ class Mesh(eqx.Module):
     def nodes_where(self, condition: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """Indices of the nodes whose coordinates fulfil `condition(x)`, x of shape (3, n).
 
-        Raises ValueError when there is none.
+        Raises ValueError when there is none, and for a condition that is not true or false at every node.
         """
-        found = np.flatnonzero(condition(np.asarray(self.nodes).T))
+        if not callable(condition):
+            raise ValueError(f"nodes_where needs a function of x (3, n), but it is {shown(condition)}.")
+        mask = np.asarray(condition(np.asarray(self.nodes).T))
+        if mask.shape != (self.n_nodes,) or mask.dtype != bool:
+            raise ValueError(
+                f"nodes_where: the condition must give true or false for {self.n_nodes} nodes, but it gives an array "
+                f"of shape {mask.shape} and type {mask.dtype}."
+            )
+        found = np.flatnonzero(mask)
         if found.size == 0:
             raise ValueError("nodes_where: no node fulfils the condition; widen its tolerance or check it.")
         return found
 
     def nearest_node(self, point) -> int:
-        """Index of the node nearest to `point` (3,)."""
+        """Index of the node nearest to `point` (3,). Raises ValueError for anything but three finite numbers."""
+        point = float_array(point, "point")
+        check_shape("point", point, (3,))
+        check_finite("point", point)
         return int(np.argmin(np.linalg.norm(np.asarray(self.nodes) - np.asarray(point), axis=1)))
 
     def boundary_edges(self) -> np.ndarray:
         """(k, 2) node indices of the edges that belong to one triangle only."""
-        edges, count = np.unique(np.sort(_edges(self.triangles), axis=1), axis=0, return_counts=True)
-        return edges[count == 1]
+        number, count, _ = repair.numbered_edges(self.triangles)
+        alone = np.sort(repair.edges_of(self.triangles)[count[number] == 1], axis=1)
+        return alone[np.lexsort(alone.T[::-1])]
 
     @classmethod
-    def read(cls, path) -> "Mesh":
-        """Read the triangles of a mesh file (Gmsh, VTK, STL, Abaqus, ...) with meshio.
+    def read(
+        cls, path, *, quads: str = "split", merge: float | None = None, orient: bool = False, coincident: str = "error"
+    ) -> "Mesh":
+        """Read the triangles and quads of a mesh file (Gmsh, VTK, STL, Abaqus, ...) with meshio.
 
-        Nodes that belong to no triangle are dropped. Raises ImportError without meshio
-        (`pip install meshio`), ValueError when the file holds no triangle.
+        Arguments:
+            quads: "split" cuts each along its shorter diagonal, "error" refuses a file that has any.
+            merge: a tolerance [length] within which nodes are made one, as `Mesh.merged` does; None merges none.
+            orient: turn triangles so that neighbours agree on the normal, as `Mesh.oriented` does.
+            coincident: as in `Mesh`.
+
+        Nodes that belong to no triangle are dropped; of points and lines that are left out a warning tells. Raises
+        ImportError without meshio (`pip install meshio`), FileNotFoundError, and ValueError naming the file for a
+        broken one, for other cells (second order, solids) and for one without triangles.
         """
+        check_choice("quads", quads, ("split", "error"))
+        check_switch("orient", orient)
+        nodes, triangles = read_cells(path, quads)
         try:
-            import meshio
-        except ImportError as error:
-            raise ImportError("Reading mesh files needs meshio: pip install meshio.") from error
-        content = meshio.read(path)
-        triangles = content.cells_dict.get("triangle")
-        if triangles is None:
-            kinds = ", ".join(content.cells_dict) or "no cells"
-            raise ValueError(f"{path} holds no triangles (it has: {kinds}). Mesh the surface with 3-node triangles.")
-        used, compact = np.unique(triangles, return_inverse=True)
-        return cls(content.points[used, :3], compact.reshape(triangles.shape))
+            if merge is not None:
+                return cls.merged(nodes, triangles, merge, orient=orient, coincident=coincident)
+            return cls(nodes, repair.oriented(triangles) if orient else triangles, coincident=coincident)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
 
 
 def grid(first, second) -> tuple[np.ndarray, np.ndarray]:
     """Both coordinates (n·k,) of the nodes of a grid of n by k values, numbered as `structured_triangles` does."""
+    check_size(len(first), len(second))
     first, second = np.meshgrid(first, second, indexing="ij")
     return first.ravel(), second.ravel()
 
@@ -105,12 +189,22 @@ def chain(nodes: np.ndarray) -> np.ndarray:
     return np.stack([nodes[:-1], nodes[1:]], 1)
 
 
+def check_size(rows: int, columns: int) -> None:
+    """Raise ValueError where a grid of `rows` by `columns` quads has more than two million triangles."""
+    if 2 * rows * columns > MOST_TRIANGLES:
+        raise ValueError(
+            f"A grid of {rows} by {columns} is {2 * rows * columns} triangles, more than the {MOST_TRIANGLES} that are "
+            "generated: choose smaller divisions."
+        )
+
+
 def structured_triangles(rows: int, columns: int, periodic: bool = False) -> np.ndarray:
     """Connectivity of a rows × columns grid of quads, each cut along its (i, j)-(i+1, j+1) diagonal.
 
     Node (i, j) has index i·(columns+1) + j, or i·columns + j where the second direction closes on itself
     (`periodic`). Returns (2·rows·columns, 3).
     """
+    check_size(rows, columns)
     width = columns if periodic else columns + 1
     i, j = grid(np.arange(rows), np.arange(columns))
     after = (j + 1) % width
@@ -124,11 +218,24 @@ def triangle_areas(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
-def _edges(triangles: np.ndarray) -> np.ndarray:
-    return triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+def _triangles(triangles) -> np.ndarray:
+    return triangles.array if isinstance(triangles, Frozen) else whole_array("triangles", triangles, "integers")
 
 
-def _check_connectivity(triangles: np.ndarray, n_nodes: int) -> None:
+def _arrays(nodes, triangles) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes (n, 3) and triangles (m, 3), to be cured. Raises ValueError for other shapes and missing nodes."""
+    nodes = float_array(nodes, "nodes")
+    if not is_concrete(nodes):
+        raise ValueError("nodes must be known where a mesh is mended, but JAX is tracing them.")
+    triangles = _triangles(triangles)
+    check_shape("nodes", nodes, (None, 3))
+    check_shape("triangles", triangles, (None, 3))
+    check_finite("nodes", nodes)
+    _check_indices(triangles, len(nodes))
+    return np.asarray(nodes), triangles
+
+
+def _check_indices(triangles: np.ndarray, n_nodes: int) -> None:
     if triangles.shape[0] == 0:
         raise ValueError("The mesh has no triangle.")
     outside = (triangles < 0) | (triangles >= n_nodes)
@@ -137,15 +244,21 @@ def _check_connectivity(triangles: np.ndarray, n_nodes: int) -> None:
         raise ValueError(
             f"Triangle {element} names node {triangles[element, corner]}, but the mesh has nodes 0 to {n_nodes - 1}."
         )
+
+
+def _check_connectivity(triangles: np.ndarray, n_nodes: int) -> None:
+    _check_indices(triangles, n_nodes)
     ordered = np.sort(triangles, axis=1)
     twice = (ordered[:, 0] == ordered[:, 1]) | (ordered[:, 1] == ordered[:, 2])
     if twice.any():
         element = int(np.argmax(twice))
         raise ValueError(f"Triangle {element} names a node twice: {triangles[element].tolist()}.")
-    _, first, inverse, count = np.unique(ordered, axis=0, return_index=True, return_inverse=True, return_counts=True)
-    if (count > 1).any():
-        same = np.flatnonzero(inverse.ravel() == np.argmax(count > 1))
-        raise ValueError(f"Triangles {same[0]} and {same[1]} are the same: {triangles[same[0]].tolist()}. Remove one.")
+    order = np.lexsort(ordered.T)
+    same = (ordered[order][1:] == ordered[order][:-1]).all(axis=1)
+    if same.any():
+        at = int(np.argmax(same))
+        first, second = sorted(order[at : at + 2].tolist())
+        raise ValueError(f"Triangles {first} and {second} are the same: {triangles[first].tolist()}. Remove one.")
     used = np.zeros(n_nodes, bool)
     used[triangles] = True
     if not used.all():
@@ -153,19 +266,25 @@ def _check_connectivity(triangles: np.ndarray, n_nodes: int) -> None:
             f"Node {int(np.argmin(used))} belongs to no triangle ({int((~used).sum())} such nodes): "
             "it would have no stiffness. Remove it or connect it."
         )
-    edges = _edges(triangles)
-    _, inverse, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
-    forward = np.bincount(inverse.ravel(), weights=edges[:, 0] < edges[:, 1])
-    same_way = (count == 2) & (forward != 1)
-    if same_way.any():
-        first, second = np.flatnonzero(inverse.ravel() == np.argmax(same_way))[:2] // 3
+    first, second, agree = repair.neighbours(triangles)
+    if not agree.all():
+        at = int(np.argmin(agree))
+        a, b = first[at], second[at]
         raise ValueError(
-            f"Triangles {first} and {second} have opposite normals: {triangles[first].tolist()} and "
-            f"{triangles[second].tolist()} run along their common edge in the same direction. Invert one of them."
+            f"Triangles {a} and {b} have opposite normals: {triangles[a].tolist()} and {triangles[b].tolist()} run "
+            "along their common edge in the same direction. Invert one of them, or let "
+            "Mesh.oriented(nodes, triangles) turn all that must be (orient=True in Mesh.read, orient = true in a "
+            "scene file)."
         )
 
 
-def _check_areas(nodes: np.ndarray, triangles: np.ndarray) -> None:
+def _check_shapes(nodes: np.ndarray, triangles: np.ndarray) -> None:
+    size = float(np.linalg.norm(np.ptp(nodes, axis=0)))
+    if not _SIZES[0] <= size <= _SIZES[1] and size > 0:
+        raise ValueError(
+            f"The nodes span {size:.3g}, which double precision does not bear: choose a unit of length in which the "
+            f"shell's size lies between {_SIZES[0]:g} and {_SIZES[1]:g}."
+        )
     a, b = nodes[triangles[:, 1]] - nodes[triangles[:, 0]], nodes[triangles[:, 2]] - nodes[triangles[:, 0]]
     area = triangle_areas(nodes, triangles)
     longest = np.max([np.sum(v * v, axis=1) for v in (a, b, b - a)], axis=0)
@@ -175,4 +294,24 @@ def _check_areas(nodes: np.ndarray, triangles: np.ndarray) -> None:
         raise ValueError(
             f"Triangle {element} {triangles[element].tolist()} is degenerate: its area {area[element]:.3g} is below "
             f"1e-8 of its longest edge squared ({longest[element]:.3g})."
+        )
+    aspect = longest / (2 * area)
+    if (aspect > _SLIVER).any():
+        element = int(np.argmax(aspect))
+        raise ValueError(
+            f"Triangle {element} {triangles[element].tolist()} is a sliver: its longest edge is {aspect[element]:.3g} "
+            f"times its height, and above {_SLIVER:g} no equations bear it. Mesh anew there, or merge its nodes."
+        )
+
+
+def _check_coincident(nodes: np.ndarray, triangles: np.ndarray) -> None:
+    found = repair.coincident_nodes(nodes, triangles)
+    if len(found):
+        node, other = found[0]
+        place = ", ".join(f"{value:.6g}" for value in nodes[node])
+        raise ValueError(
+            f"{len(found)} nodes coincide with another that no triangle joins them to, the first of them node {node} "
+            f"with node {other} at ({place}): the shell is not connected there. Mesh.merged(nodes, triangles, "
+            "tolerance) makes them one (merge=tolerance in Mesh.read, merge = tolerance in a scene file's [mesh]); "
+            'coincident="allow" keeps them apart where a slit is meant.'
         )

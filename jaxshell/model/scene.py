@@ -1,7 +1,7 @@
 """The scene: everything that the user states about a shell, as one pytree whose floats are differentiable."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,14 +14,23 @@ from jaxshell.model.loads import Load
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sections import AnySection
 from jaxshell.model.supports import DOFS, Support
-from jaxshell.numerics.checks import check_finite, check_shape, float_array, is_concrete
+from jaxshell.numerics.checks import (
+    check_choice,
+    check_count,
+    check_finite,
+    check_kind,
+    check_number,
+    check_positive_number,
+    check_shape,
+    check_text,
+    float_array,
+    is_concrete,
+    optional_floats,
+    shown,
+)
 from jaxshell.numerics.frozen import Frozen
 
 WATCHABLE = ("ux", "uy", "uz", "vx", "vy", "vz")
-
-
-def _optional_array(value):
-    return None if value is None else float_array(value)
 
 
 class Initial(eqx.Module):
@@ -36,25 +45,40 @@ class Initial(eqx.Module):
     Raises ValueError for NaN and for matrices that are no rotations.
     """
 
-    velocities: Float[jax.Array, "n 3"] | None = eqx.field(converter=_optional_array, default=None)
-    angular_velocities: Float[jax.Array, "n 3"] | None = eqx.field(converter=_optional_array, default=None)
-    displacements: Float[jax.Array, "n 3"] | None = eqx.field(converter=_optional_array, default=None)
-    rotations: Float[jax.Array, "n 3 3"] | None = eqx.field(converter=_optional_array, default=None)
+    velocities: Float[jax.Array, "n 3"] | None = eqx.field(
+        converter=optional_floats("initial velocities"), default=None
+    )
+    angular_velocities: Float[jax.Array, "n 3"] | None = eqx.field(
+        converter=optional_floats("initial angular_velocities"), default=None
+    )
+    displacements: Float[jax.Array, "n 3"] | None = eqx.field(
+        converter=optional_floats("initial displacements"), default=None
+    )
+    rotations: Float[jax.Array, "n 3 3"] | None = eqx.field(
+        converter=optional_floats("initial rotations"), default=None
+    )
 
     def __check_init__(self):
         for name in ("velocities", "angular_velocities", "displacements", "rotations"):
             if getattr(self, name) is not None:
+                check_shape(f"initial {name}", getattr(self, name), (None, 3, 3) if name == "rotations" else (None, 3))
                 check_finite(f"initial {name}", getattr(self, name))
-        if self.rotations is not None:
-            check_shape("initial rotations", self.rotations, (None, 3, 3))
-            if is_concrete(self.rotations):
-                _check_rotations(np.asarray(self.rotations))
+        if self.rotations is not None and is_concrete(self.rotations):
+            _check_rotations(np.asarray(self.rotations))
+
+    def check(self, n_nodes: int) -> None:
+        """Raise ValueError for values of another number of nodes; called when the scene is made."""
+        for name in ("velocities", "angular_velocities", "displacements", "rotations"):
+            value = getattr(self, name)
+            if value is not None:
+                check_shape(f"initial {name}", value, (n_nodes, *value.shape[1:]))
 
     @classmethod
     def rigid(cls, mesh: Mesh, velocity=(0.0, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.0), about=None) -> "Initial":
         """A rigid motion: `velocity` (3,) of the point `about` (3,) (default: the mean of the nodes), and a spin."""
-        velocity, spin = float_array(velocity), float_array(angular_velocity)
-        centre = jnp.mean(mesh.nodes, axis=0) if about is None else float_array(about)
+        check_kind("mesh", mesh, Mesh, "a jaxshell.Mesh")
+        velocity, spin = _vector("velocity", velocity), _vector("angular_velocity", angular_velocity)
+        centre = jnp.mean(mesh.nodes, axis=0) if about is None else _vector("about", about)
         velocities = velocity + jnp.cross(spin, mesh.nodes - centre)
         return cls(velocities, jnp.broadcast_to(spin, mesh.nodes.shape))
 
@@ -109,19 +133,22 @@ class Scene(eqx.Module):
         watch: Mapping[str, tuple[int, str]] | Sequence[tuple[str, int, str]] | None = None,
         defaults: Defaults | None = None,
     ):
+        check_kind("mesh", mesh, Mesh, "a jaxshell.Mesh")
+        check_kind("section", section, AnySection, "a section such as jaxshell.Section")
         self.mesh = mesh
         self.section = section
-        self.supports = (supports,) if isinstance(supports, Support) else tuple(supports)
-        self.loads = (loads,) if isinstance(loads, Load) else tuple(loads)
+        self.supports = _objects("supports", supports, Support, "jaxshell.Support")
+        self.loads = _objects("loads", loads, Load, "loads such as jaxshell.NodalForce")
         self.initial = initial
         self.name = name
-        if isinstance(watch, Mapping):
-            watch = [(label, *what) for label, what in watch.items()]
-        self.watch = tuple((label, int(node), component) for label, node, component in watch or ())
+        self.watch = _watched(watch)
         self.defaults = defaults
 
     def __check_init__(self):
         n = self.mesh.n_nodes
+        check_text("A scene's name", self.name)
+        check_kind("initial", self.initial, Initial | None, "a jaxshell.Initial or None")
+        _check_defaults(self.defaults)
         self.section.check(self.mesh)
         for kind, objects in (("support", self.supports), ("load", self.loads)):
             for position, item in enumerate(objects):
@@ -130,19 +157,15 @@ class Scene(eqx.Module):
                     _check_nodes(f"{kind} {position}", nodes.array, n)
         for label, node, component in self.watch:
             _check_nodes(f"watch {label!r}", np.array([node]), n)
-            if component not in WATCHABLE:
-                raise ValueError(f"watch {label!r} names {component!r}; choose out of {', '.join(WATCHABLE)}.")
+            if not isinstance(component, str) or component not in WATCHABLE:
+                raise ValueError(f"watch {label!r} names {shown(component)}; choose out of {', '.join(WATCHABLE)}.")
         for position, load in enumerate(self.loads):
             try:
                 load.check(self.mesh)
             except ValueError as error:
                 raise ValueError(f"load {position}: {error}") from error
         if self.initial is not None:
-            for name in ("velocities", "angular_velocities", "displacements"):
-                if getattr(self.initial, name) is not None:
-                    check_shape(f"initial {name}", getattr(self.initial, name), (n, 3))
-            if self.initial.rotations is not None:
-                check_shape("initial rotations", self.initial.rotations, (n, 3, 3))
+            self.initial.check(n)
         self._check_prescribed_once()
 
     def _check_prescribed_once(self):
@@ -170,6 +193,61 @@ class Scene(eqx.Module):
     @property
     def held(self) -> Frozen:
         return Frozen(self.held_dofs)
+
+
+def _vector(name: str, value) -> Float[jax.Array, "3"]:
+    vector = float_array(value, name)
+    check_shape(name, vector, (3,))
+    check_finite(name, vector)
+    return vector
+
+
+def _objects(name: str, value, kind: type, public: str) -> tuple[Any, ...]:
+    """One object or a sequence of them as a tuple. Raises ValueError for any that is no `kind`."""
+    if isinstance(value, kind):
+        return (value,)
+    if not isinstance(value, list | tuple):
+        raise ValueError(f"{name} must be a list of {public}, but it is {shown(value)}.")
+    for position, item in enumerate(value):
+        check_kind(f"{name}[{position}]", item, kind, f"one of {public}")
+    return tuple(value)
+
+
+def _watched(watch) -> tuple[tuple[str, int, str], ...]:
+    """What is watched, as a scene keeps it. Raises ValueError for anything but labels, nodes and components."""
+    if watch is None:
+        return ()
+    if isinstance(watch, Mapping):
+        watch = [(label, *what) if isinstance(what, list | tuple) else what for label, what in watch.items()]
+    if not isinstance(watch, list | tuple):
+        raise ValueError(f"watch must be {{label: (node, component)}}, but it is {shown(watch)}.")
+    found = []
+    for entry in watch:
+        if not isinstance(entry, list | tuple) or len(entry) != 3:
+            raise ValueError(f"watch must be {{label: (node, component)}}, but an entry of it is {shown(entry)}.")
+        label, node, component = entry
+        check_text("A watch label", label)
+        if isinstance(node, bool) or not isinstance(node, int | np.integer):
+            raise ValueError(f"watch {label!r} names node {shown(node)}, which is no whole number.")
+        found.append((label, int(node), component))
+    if len({label for label, _, _ in found}) < len(found):
+        raise ValueError(f"watch uses a label twice: {', '.join(label for label, _, _ in found)}.")
+    return tuple(found)
+
+
+def _check_defaults(defaults) -> None:
+    if defaults is None:
+        return
+    check_kind("defaults", defaults, Defaults, "a jaxshell.Defaults or None")
+    check_positive_number("dt", defaults.dt)
+    check_positive_number("t_end", defaults.t_end)
+    check_count("save_every", defaults.save_every)
+    check_choice("units", defaults.units, ("", "SI"))
+    for name in ("picture_times", "methods", "axes"):
+        if not isinstance(getattr(defaults, name), tuple):
+            raise ValueError(f"defaults.{name} must be a tuple, but it is {shown(getattr(defaults, name))}.")
+    for time in defaults.picture_times:
+        check_number("picture_times", time)
 
 
 def _check_nodes(what: str, nodes: np.ndarray, n_nodes: int) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxshell.model.history import History
-from jaxshell.numerics.checks import check_finite, float_array, is_concrete, node_indices
+from jaxshell.numerics.checks import check_finite, check_kind, float_array, is_concrete, node_indices, shown
 from jaxshell.numerics.frozen import Frozen
 
 DOFS = ("ux", "uy", "uz", "rx", "ry", "rz")
@@ -38,20 +38,35 @@ class Support(eqx.Module):
 
     def __init__(self, nodes, dofs=ALL, displacement=None, history=None):
         self.nodes = Frozen(node_indices("support nodes", nodes))
+        if not isinstance(dofs, str | list | tuple):
+            raise ValueError(f"A support's dofs must be names out of {', '.join(DOFS)}, but are {shown(dofs)}.")
         self.dofs = (dofs,) if isinstance(dofs, str) else tuple(dofs)
+        if history is not None:
+            check_kind("A support's history", history, History, "a jaxshell.History or None")
         if displacement is not None and history is None:
             raise ValueError("A prescribed displacement needs a history (jaxshell.History) that says when it acts.")
-        self.displacement = None if displacement is None else float_array(displacement)
+        if history is not None and displacement is None:
+            raise ValueError("A support with a history needs the displacement that the history scales.")
+        self.displacement = None if displacement is None else float_array(displacement, "prescribed displacement")
         self.history = None if displacement is None else history
 
     def __check_init__(self):
         if not self.dofs:
             raise ValueError("A support must hold at least one of " + ", ".join(DOFS) + ".")
         for name in self.dofs:
-            if name not in DOFS:
-                raise ValueError(f"A support holds {name!r}, which does not exist. Choose out of {', '.join(DOFS)}.")
+            if not isinstance(name, str) or name not in DOFS:
+                raise ValueError(
+                    f"A support holds {shown(name)}, which does not exist. Choose out of {', '.join(DOFS)}."
+                )
+        if len(set(self.dofs)) < len(self.dofs):
+            raise ValueError(f"A support names a degree of freedom twice: {', '.join(self.dofs)}.")
         if self.displacement is not None and self.history is not None:
             check_finite("prescribed displacement", self.displacement)
+            if self.displacement.shape not in ((), (len(self.dofs),), self.dof_numbers.shape):
+                raise ValueError(
+                    f"prescribed displacement must be one value or one for each of {', '.join(self.dofs)}, but it has "
+                    f"shape {self.displacement.shape}."
+                )
             turning = [name for name in self.dofs if name.startswith("r")]
             if turning:
                 raise ValueError(f"Only displacements can be prescribed, but the support names {', '.join(turning)}.")
@@ -89,6 +104,6 @@ def pinned(nodes) -> Support:
 def symmetry(nodes, normal: str) -> Support:
     """Nodes in a plane of symmetry with the given normal, "x", "y" or "z"."""
     held = {"x": ("ux", "ry", "rz"), "y": ("uy", "rx", "rz"), "z": ("uz", "rx", "ry")}
-    if normal not in held:
-        raise ValueError(f"normal must be 'x', 'y' or 'z', but it is {normal!r}.")
+    if not isinstance(normal, str) or normal not in held:
+        raise ValueError(f"normal must be 'x', 'y' or 'z', but it is {shown(normal)}.")
     return Support(nodes, held[normal])

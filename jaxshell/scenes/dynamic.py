@@ -25,7 +25,7 @@ def snapping_panel(divisions: tuple[int, int] = (8, 16), force: float = 5e7) -> 
     centre would have to be above 1.2e8 N. The whole panel, free to snap asymmetrically.
     divisions = (along, around), both even. Watches "centre" (uz).
     """
-    along, around = divisions
+    along, around = generators.counts("snapping_panel", divisions, (2, 2))
     if along % 2 or around % 2:
         raise ValueError(f"divisions must be even, so that there is a node at the centre, but are {divisions}.")
     radius, length, half_angle = 5.0, 5.0, np.pi / 6
@@ -53,7 +53,7 @@ def flying_cylinder(divisions: tuple[int, int] = (4, 32)) -> Scene:
     the two ends of the generators at 0° and 180°, (1, 1, 1) times it by those at 90° and 270°. divisions =
     (along, around), around a multiple of 4. Watches "A x" and "A y", at an end of the generator at 0°.
     """
-    along, around = divisions
+    along, around = generators.counts("flying_cylinder", divisions, (1, 4))
     if around % 4:
         raise ValueError(f"divisions[1] must be a multiple of 4, but it is {around}.")
     mesh = generators.cylinder(7.5, 3.0, divisions)
@@ -85,6 +85,7 @@ def l_shaped_plate(divisions: int = 4) -> Scene:
     the two free ends, pulses of 0.02 s. `divisions` per 0.2 m. Watches "end z" (ux) and "end x" (uz),
     corners of the legs' ends.
     """
+    (divisions,) = generators.counts("l_shaped_plate", divisions, (1,))
     count = 3 * divisions
     along = np.concatenate([np.arange(count, 0, -1), np.arange(count + 1)])
     i, j = grid(np.arange(2 * count + 1), np.arange(divisions + 1))
@@ -116,6 +117,7 @@ def spinning_plate(divisions: int = 8, spin: tuple[float, float, float] = (0.0, 
     "corner x" and "corner z".
     """
     side = 0.5
+    (divisions,) = generators.counts("spinning_plate", divisions, (1,))
     mesh = generators.rectangle(side, side, (divisions, divisions))
     return Scene(
         mesh,

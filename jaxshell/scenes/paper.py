@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from jaxshell.model.generators import counts
 from jaxshell.model.loads import EdgeForce, History, Load, NodalForce
 from jaxshell.model.mesh import Mesh, chain, grid, structured_triangles
 from jaxshell.model.scene import Defaults, Scene
@@ -19,7 +20,7 @@ def spherical_cap(divisions: int = 10, force: float = 444.8, thickness: float = 
     E 68.94 GPa, ν 0.3, ρ 2618 kg/m³. `force` [N] is the whole cap's; the quarter carries a quarter.
     Point (i, j) of the grid lies at polar angle 10.9°·max(i, j)/divisions. Watches "apex" (uz).
     """
-    _check_count("divisions", divisions, 1)
+    (divisions,) = counts("spherical_cap", divisions, (1,))
     radius, half_angle = 0.1209, math.radians(10.9)
     s, t = grid(*[np.arange(divisions + 1) / divisions] * 2)
     polar = half_angle * np.maximum(s, t)
@@ -64,9 +65,7 @@ def free_plate(divisions: tuple[int, int] = (15, 3), loads: Sequence[Load] | Non
     x = 0.3 m, which twists. The plate bends, twists and flies off with linear and angular momentum.
     `loads` replaces all of it.
     """
-    columns, rows = divisions
-    _check_count("divisions[0]", columns, 1)
-    _check_count("divisions[1]", rows, 1)
+    columns, rows = counts("free_plate", divisions, (1, 1))
     length, width = 0.3, 0.06
     x, y = grid(*[np.linspace(0, 1, c + 1) for c in (columns, rows)])
     mesh = Mesh(np.stack([length * x, width * y, 0 * x], 1), structured_triangles(columns, rows))
@@ -105,9 +104,7 @@ def opened_cap(divisions: tuple[int, int] = (48, 10), force: float = 1.0, thickn
     48 top-ring nodes; on another number of nodes the same resultant. divisions = (around, along the
     meridian from the bottom ring). Watches "A", the top-ring node at azimuth 0 (uz).
     """
-    around, meridian = divisions
-    _check_count("divisions[0]", around, 3)
-    _check_count("divisions[1]", meridian, 1)
+    around, meridian = counts("opened_cap", divisions, (3, 1))
     radius, top, bottom = 12.16, math.radians(18.594), math.radians(55.668)
     i, j = grid(np.arange(meridian + 1), np.arange(around))
     polar, azimuth = bottom + (top - bottom) * i / meridian, 2 * np.pi * j / around
@@ -130,8 +127,3 @@ def opened_cap(divisions: tuple[int, int] = (48, 10), force: float = 1.0, thickn
             units="SI",
         ),
     )
-
-
-def _check_count(name: str, value, least: int) -> None:
-    if not isinstance(value, int | np.integer) or value < least:
-        raise ValueError(f"{name} must be a whole number of at least {least}, but it is {value!r}.")

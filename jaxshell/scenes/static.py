@@ -64,10 +64,11 @@ def slit_annular_plate(divisions: tuple[int, int] = (10, 80), force: float = 0.8
     Radii 6 and 10, h 0.03, E 21e6, ν 0; one lip clamped, the other under a line force `force` (per length)
     along +z. divisions = (radial, around). Watches "A" and "B" (uz), the loaded lip's inner and outer corner.
     """
-    radial, around = divisions
+    radial, around = generators.counts("slit_annular_plate", divisions, (1, 3))
     i, j = grid(np.arange(radial + 1), np.arange(around + 1))
     r, angle = 6.0 + 4.0 * i / radial, 2 * np.pi * j / around
-    mesh = Mesh(np.stack([r * np.cos(angle), r * np.sin(angle), 0 * r], 1), structured_triangles(radial, around))
+    nodes = np.stack([r * np.cos(angle), r * np.sin(angle), 0 * r], 1)
+    mesh = Mesh(nodes, structured_triangles(radial, around), coincident="allow")  # the lips of the slit
     lip = np.flatnonzero(j == 0)
     return Scene(
         mesh,
@@ -153,7 +154,7 @@ def hinged_roof(divisions: tuple[int, int] = (16, 16), thickness: float = 12.7, 
     studied by Sabir & Lock (1972). divisions = (along half the length, around half). Watches "centre" (uz).
     """
     radius, half, angle = 2540.0, 254.0, 0.1
-    along, around = divisions
+    along, around = generators.counts("hinged_roof", divisions, (1, 1))
     x, turn = grid(np.linspace(0, half, along + 1), np.linspace(0, angle, around + 1))
     mesh = Mesh(np.stack([x, radius * np.sin(turn), radius * np.cos(turn)], 1), structured_triangles(along, around))
     return Scene(
@@ -177,7 +178,7 @@ def hemisphere(divisions: tuple[int, int] = (16, 16), force: float = 100.0) -> S
     the quarter carries at either of its equator's ends, half of the whole hemisphere's. divisions = (around
     a quarter, along the meridian). Watches "inward" (uy, on the y axis) and "outward" (ux, on the x axis).
     """
-    around, rows = divisions
+    around, rows = generators.counts("hemisphere", divisions, (1, 1))
     radius = 10.0
     i, j = grid(np.arange(rows + 1), np.arange(around + 1))
     polar, azimuth = np.radians(90.0 - 72.0 * i / rows), 0.5 * np.pi * j / around

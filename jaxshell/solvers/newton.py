@@ -10,7 +10,7 @@ import functools
 import equinox as eqx
 import jax
 
-from jaxshell.numerics.checks import Real, check_positive
+from jaxshell.numerics.checks import Real, check_choice, check_count, check_positive_number, check_switch
 from jaxshell.solvers import chord_newton, full_newton
 from jaxshell.solvers.iteration import Linear, Measure, Memory, Problem
 from jaxshell.solvers.linear_solver import linear_solve
@@ -41,11 +41,11 @@ class Newton(eqx.Module):
     criterion: str = eqx.field(static=True, default="predicted")
 
     def __check_init__(self):
-        check_positive("Newton tolerance", self.tolerance)
-        check_positive("Newton max_rotation", self.max_rotation)
-        check_positive("Newton max_iterations", self.max_iterations)
-        if self.criterion not in ("predicted", "norm"):
-            raise ValueError(f'Newton criterion must be "predicted" or "norm", but it is {self.criterion!r}.')
+        check_positive_number("Newton tolerance", self.tolerance)
+        check_positive_number("Newton max_rotation", self.max_rotation)
+        check_count("Newton max_iterations", self.max_iterations)
+        check_switch("Newton reuse", self.reuse)
+        check_choice("Newton criterion", self.criterion, ("predicted", "norm"))
 
     def solve(self, problem: Problem, guess, size, rotates, linear: Linear, memory: Memory):
         """Iterate from `guess` (nf,): (Solved, Memory for the next step).

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.model.history import History
 from jaxshell.model.mesh import Mesh
-from jaxshell.numerics.checks import check_finite
+from jaxshell.numerics.checks import check_finite, check_kind
 
 
 class Load(eqx.Module):
@@ -39,8 +39,11 @@ class DeadLoad(Load):
 
 
 def given_history(history: History | None) -> History:
-    """`history`, or a constant one."""
-    return History.constant() if history is None else history
+    """`history`, or a constant one. Raises ValueError for anything else."""
+    if history is None:
+        return History.constant()
+    check_kind("history", history, History, "a jaxshell.History or None")
+    return history
 
 
 def check_vectors(name: str, value: Any, count: int) -> None:

@@ -5,12 +5,11 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Float
 
 from jaxshell.model.history import History
 from jaxshell.model.loads.base import DeadLoad, check_vectors, given_history
-from jaxshell.numerics.checks import check_shape, float_array, node_indices
+from jaxshell.numerics.checks import check_shape, float_array, node_indices, whole_array
 from jaxshell.numerics.frozen import Frozen
 
 
@@ -31,10 +30,11 @@ class EdgeForce(DeadLoad):
     history: History
 
     def __init__(self, edges, force, history: History | None = None):
+        edges = edges.array if isinstance(edges, Frozen) else whole_array("edges", edges, "pairs of node indices")
         check_shape("edges", edges, (None, 2))
-        node_indices("edge nodes", np.asarray(edges).ravel())
+        node_indices("edge nodes", edges.ravel())
         self.edges = Frozen(edges)
-        self.force = float_array(force)
+        self.force = float_array(force, "edge force")
         self.history = given_history(history)
 
     def __check_init__(self):

@@ -22,7 +22,7 @@ class Gravity(DeadLoad):
     history: History
 
     def __init__(self, acceleration, history: History | None = None):
-        self.acceleration = float_array(acceleration)
+        self.acceleration = float_array(acceleration, "acceleration")
         self.history = given_history(history)
 
     def __check_init__(self):

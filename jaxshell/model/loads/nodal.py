@@ -25,7 +25,7 @@ class NodalForce(DeadLoad):
 
     def __init__(self, nodes, force, history: History | None = None):
         self.nodes = Frozen(node_indices("force nodes", nodes))
-        self.force = float_array(force)
+        self.force = float_array(force, "force")
         self.history = given_history(history)
 
     def __check_init__(self):
@@ -48,7 +48,7 @@ class NodalMoment(DeadLoad):
 
     def __init__(self, nodes, moment, history: History | None = None):
         self.nodes = Frozen(node_indices("moment nodes", nodes))
-        self.moment = float_array(moment)
+        self.moment = float_array(moment, "moment")
         self.history = given_history(history)
 
     def __check_init__(self):

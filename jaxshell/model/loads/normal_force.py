@@ -40,7 +40,7 @@ class NormalForce(Load, Contribution):
 
     def __init__(self, nodes, magnitude, history: History | None = None):
         self.nodes = Frozen(node_indices("normal force nodes", nodes))
-        self.magnitude = float_array(magnitude)
+        self.magnitude = float_array(magnitude, "normal force")
         self.history = given_history(history)
 
     def __check_init__(self):

@@ -11,7 +11,7 @@ from jaxshell.model.contribution import Contribution, Place, Surface
 from jaxshell.model.history import History
 from jaxshell.model.loads.base import Load, given_history
 from jaxshell.model.mesh import Mesh
-from jaxshell.numerics.checks import check_finite, float_array
+from jaxshell.numerics.checks import check_finite, check_one_or_each, float_array
 from jaxshell.numerics.frozen import Frozen
 from jaxshell.numerics.rotations import skew
 
@@ -19,7 +19,8 @@ from jaxshell.numerics.rotations import skew
 class Pressure(Load, Contribution):
     """A pressure that follows the deformed surface, positive along the elements' normals.
 
-    `pressure`: scalar or (m,) one per element [force/length²], acting on the deformed area.
+    `pressure`: scalar or (m,) one per element [force/length²], acting on the deformed area. Raises ValueError for
+    anything but finite numbers.
     """
 
     kind: ClassVar[str] = "pressure"
@@ -30,10 +31,11 @@ class Pressure(Load, Contribution):
     history: History
 
     def __init__(self, pressure, history: History | None = None):
-        self.pressure = float_array(pressure)
+        self.pressure = float_array(pressure, "pressure")
         self.history = given_history(history)
 
     def __check_init__(self):
+        check_one_or_each("pressure", self.pressure)
         check_finite("pressure", self.pressure)
 
     def check(self, mesh: Mesh) -> None:

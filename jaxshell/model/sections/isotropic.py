@@ -10,10 +10,19 @@ from jaxtyping import Array, Float
 
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sections.base import AnySection, Resultants
-from jaxshell.numerics.checks import check_finite, check_positive, float_array, is_concrete
+from jaxshell.numerics.checks import (
+    LARGEST,
+    check_finite,
+    check_one_or_each,
+    check_positive,
+    float_array,
+    floats,
+    is_concrete,
+)
 
 BETA_0_MINIMUM = 0.01
 """Least factor of the membrane's higher-order stiffness, so that the element keeps its rank of 6."""
+_VALUES = ("thickness", "young_modulus", "poisson_ratio", "density")
 
 
 class Section(AnySection):
@@ -30,12 +39,14 @@ class Section(AnySection):
 
     kind: ClassVar[str] = "isotropic"
 
-    thickness: Float[jax.Array, "*m"] = eqx.field(converter=float_array)
-    young_modulus: Float[jax.Array, "*m"] = eqx.field(converter=float_array)
-    poisson_ratio: Float[jax.Array, "*m"] = eqx.field(converter=float_array)
-    density: Float[jax.Array, "*m"] = eqx.field(converter=float_array)
+    thickness: Float[jax.Array, "*m"] = eqx.field(converter=floats("thickness"))
+    young_modulus: Float[jax.Array, "*m"] = eqx.field(converter=floats("young_modulus"))
+    poisson_ratio: Float[jax.Array, "*m"] = eqx.field(converter=floats("poisson_ratio"))
+    density: Float[jax.Array, "*m"] = eqx.field(converter=floats("density"))
 
     def __check_init__(self):
+        for name in _VALUES:
+            check_one_or_each(name, getattr(self, name))
         check_positive("thickness", self.thickness)
         check_positive("young_modulus", self.young_modulus)
         check_positive("density", self.density)
@@ -45,6 +56,25 @@ class Section(AnySection):
             bad = (ratio <= -1) | (ratio > 0.5)
             if bad.any():
                 raise ValueError(f"poisson_ratio must lie in (-1, 0.5], but it is {ratio[bad].flat[0]}.")
+        self._check_range()
+
+    def _check_range(self):
+        """Raise ValueError where stiffness or mass overflows or vanishes in double precision."""
+        values = [getattr(self, name) for name in _VALUES]
+        if not all(map(is_concrete, values)) or len({value.shape for value in values if value.shape}) > 1:
+            return
+        h, young, ratio, density = map(np.asarray, values)
+        with np.errstate(all="ignore"):
+            for what, value in (
+                ("bending stiffness E h³/12(1-ν²)", young * h**3 / 12 / (1 - ratio**2)),
+                ("rotary inertia ρ h³/12", density * h**3 / 12),
+            ):
+                bad = ~((value >= 1 / LARGEST) & (value <= LARGEST))
+                if bad.any():
+                    raise ValueError(
+                        f"The {what} is {value[bad].flat[0]:.3g}, which double precision does not bear: thickness, "
+                        "young_modulus or density is far out of range, or in another unit than is meant."
+                    )
 
     def check(self, mesh: Mesh) -> None:
         self.per_element(mesh.n_elements)
@@ -57,7 +87,7 @@ class Section(AnySection):
     def per_element(self, n_elements: int) -> "Section":
         """The same section with every value as an array (n_elements,). Raises ValueError for another length."""
         values = {}
-        for name in ("thickness", "young_modulus", "poisson_ratio", "density"):
+        for name in _VALUES:
             value = jnp.asarray(getattr(self, name))
             if value.shape not in ((), (n_elements,)):
                 raise ValueError(
