@@ -293,28 +293,31 @@ class ImplicitMethod(Method):
         fixed = jax.lax.stop_gradient((self, model, state, dt))
         solved, memory = one_by_one(_converge, memory, *fixed, solvers)
         solved = keep(solved)
-        begun, held, problem = _problem(self, model, state, dt, solvers)
-        u = self._differentiable(model, state, begun, held, problem, solved, solvers)
+        begun, held, _ = _problem(self, model, state, dt, solvers)
+        u = self._differentiable(model, state, begun, held, solved.free, solvers)
         info = StepInfo(solved.result, solved.iterations, solved.factorizations, solved.correction)
         return self.finish(model, state, dt, u, self.motion(state, u), begun), info, memory
 
     def unbalanced(self, model, before, after, dt):
         return self.balance(model, before, self.begin(model, before, dt), dt * after.rates[0]).residual
 
-    def _differentiable(self, model, state, begun, held, problem, solved, solvers) -> Float[Array, "n 6"]:
-        """The converged increments, with the derivative of the equations that they solve."""
-        if not solvers.differentiated:
-            return model.expand(solved.free, held)
-        u = model.expand(solved.free, held)
-        values = self.tangent(model, state, begun, u, None, solvers.tangent)
-        free = attach_derivative(
-            solvers.linear.solver,
-            solvers.linear.handle,
-            solved.free,
-            model.free(problem.balance(solved.free).residual),
-            jax.lax.stop_gradient(values),
-        )
+    def _differentiable(self, model, state, begun, held, free, solvers) -> Float[Array, "n 6"]:
+        """The converged increments, with the derivatives of the equations that they solve."""
+        if solvers.differentiated:
+            parameters = self, model, state, begun, held, solvers.tangent
+            free = attach_derivative(solvers.linear, _residual, _tangent, free, parameters)
         return model.expand(free, held)
+
+
+def _residual(free, parameters) -> Float[Array, " nf"]:
+    """Of the free degrees of freedom, as a function of all that a step's equations depend on."""
+    method, model, state, begun, held, _ = parameters
+    return model.free(method.balance(model, state, begun, model.expand(free, held)).residual)
+
+
+def _tangent(free, parameters) -> Float[Array, " nnz"]:
+    method, model, state, begun, held, tangent = parameters
+    return method.tangent(model, state, begun, model.expand(free, held), None, tangent)
 
 
 def by_increments(K: Float[Array, "k d d"], spin: Float[Array, "k c 3 3"]) -> Float[Array, "k d d"]:

@@ -6,9 +6,11 @@ with its numbers, never a NaN. There are two: `jaxshell.solvers.full_newton` and
 """
 
 import functools
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
+from jax.custom_derivatives import SymbolicZero
 
 from jaxshell.numerics.checks import Real, check_choice, check_count, check_positive_number, check_switch
 from jaxshell.solvers import chord_newton, full_newton
@@ -57,18 +59,33 @@ class Newton(eqx.Module):
         return iterate(self, problem, guess, Measure(size, rotates, self.max_rotation), linear, memory)
 
 
-@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def attach_derivative(solver, handle, free, residual, values):
-    """`free`, with the derivative of the solution of residual(free; parameters) = 0.
+def attach_derivative(linear: Linear, residual: Callable, tangent: Callable, free, parameters):
+    """`free` (nf,), with the derivatives of the solution of residual(free, parameters) = 0, of every order.
 
-    `residual` (nf,) and `values` (the matrix ∂residual/∂free) are evaluated at `free` with it held fixed. By
-    the implicit function theorem d free = -K⁻¹ d residual; where nothing is differentiated neither is used,
-    and XLA leaves them out.
+    residual(free, parameters) → (nf,) and tangent(free, parameters) → values of the matrix ∂residual/∂free are pure
+    functions: all that JAX may trace is in `parameters`, a pytree of arrays and static values. By the implicit function
+    theorem d free = -K⁻¹ ∂residual/∂parameters d parameters, with K at the solution: where this is differentiated again
+    the solution and K move with the parameters. Only what is differentiated is: parameters that do not move cost
+    nothing, and where none does neither function is used.
     """
-    return free
+    arrays, static = eqx.partition((linear, parameters), eqx.is_array)
 
+    @jax.custom_jvp
+    def solution(free, arrays):
+        return free
 
-@attach_derivative.defjvp
-def _implicit(solver, primals, tangents):
-    handle, free, _, values = primals
-    return free, -linear_solve(solver, handle, values, tangents[2])
+    @functools.partial(solution.defjvp, symbolic_zeros=True)
+    def _(primals, tangents):
+        arrays = primals[1]
+        moves = jax.tree.map(lambda direction: not isinstance(direction, SymbolicZero), tangents[1])
+        moving, still = eqx.partition(arrays, moves)
+        free = solution(*primals)
+
+        def unbalanced(moving):
+            return residual(free, eqx.combine(moving, still, static)[1])
+
+        _, change = jax.jvp(unbalanced, (moving,), (eqx.filter(tangents[1], moves),))
+        linear, parameters = eqx.combine(arrays, static)
+        return free, -linear_solve(linear.solver, linear.handle, tangent(free, parameters), change)
+
+    return solution(free, arrays)
