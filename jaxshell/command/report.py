@@ -4,15 +4,26 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxshell.model.mechanisms import connected_parts
 from jaxshell.model.scene import Scene
 from jaxshell.results.diagnostics import energy_balance, loads_end, momentum_scales
 from jaxshell.results.solution import Solution
 
+_PARTS = 5
+"""So many loose parts are named one by one."""
+
 
 def describe_scene(scene: Scene) -> str:
-    """One line: the scene's name and size."""
+    """One line: the scene's name and size; and one that names the parts of a shell that nothing connects."""
     free = 6 * scene.mesh.n_nodes - len(scene.held_dofs)
-    return f"{scene.name}: {scene.mesh.n_elements} triangles, {scene.mesh.n_nodes} nodes, {free} unknowns"
+    line = f"{scene.name}: {scene.mesh.n_elements} triangles, {scene.mesh.n_nodes} nodes, {free} unknowns"
+    count, part = connected_parts(scene.mesh.triangles, scene.mesh.n_nodes)
+    if count == 1:
+        return line
+    sizes, first = np.bincount(part), np.unique(part, return_index=True)[1]
+    named = [f"one of {size} nodes with node {node}" for size, node in zip(sizes, first, strict=True)]
+    more = f", and {count - _PARTS} more" if count > _PARTS else ""
+    return f"{line}\n  {count} loose parts, which no triangle connects: {', '.join(named[:_PARTS])}{more}"
 
 
 def describe_run(label: str, run: Solution, path: Path) -> str:

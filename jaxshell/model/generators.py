@@ -11,7 +11,7 @@ from jaxshell.numerics.checks import check_positive_number, is_concrete, shown, 
 def rectangle(length, width, divisions) -> Mesh:
     """0 ≤ x ≤ `length`, 0 ≤ y ≤ `width`, z = 0, normal +z; `divisions` (along x, along y)."""
     columns, rows = counts("rectangle", divisions, (1, 1))
-    _positive(length=length, width=width)
+    length, width = _positive(length=length, width=width)
     x, y = grid(np.linspace(0, length, columns + 1), np.linspace(0, width, rows + 1))
     return Mesh(np.stack([x, y, 0 * x], 1), structured_triangles(columns, rows))
 
@@ -21,7 +21,7 @@ def cylinder(radius, length, divisions, angle=360.0) -> Mesh:
 
     `angle` [degrees] around, from the +y axis towards +z; 360 closes it. `divisions` (along, around).
     """
-    _positive(radius=radius, length=length, angle=angle)
+    radius, length, angle = _positive(radius=radius, length=length, angle=angle)
     if not is_concrete(angle) or angle > 360:
         raise ValueError(f"angle must be at most 360 degrees, but it is {angle}.")
     closed = angle == 360
@@ -41,7 +41,7 @@ def spherical_cap(radius, half_angle, divisions) -> Mesh:
     """
     (count,) = counts("spherical_cap", divisions, (1,))
     check_size(2 * count, 2 * count)
-    _positive(radius=radius, half_angle=half_angle)
+    radius, half_angle = _positive(radius=radius, half_angle=half_angle)
     if half_angle >= 180:
         raise ValueError(f"half_angle must be below 180 degrees, but it is {half_angle}.")
     s, t = grid(*[np.arange(-count, count + 1) / count] * 2)
@@ -60,7 +60,7 @@ def spherical_zone(radius, top, bottom, divisions) -> Mesh:
     `divisions` (around, along the meridian).
     """
     around, rows = counts("spherical_zone", divisions, (3, 1))
-    _positive(radius=radius, top=top, bottom=bottom)
+    radius, top, bottom = _positive(radius=radius, top=top, bottom=bottom)
     if not top < bottom < 180:
         raise ValueError(f"Angles must fulfil 0 < top < bottom < 180 degrees, but are top {top}, bottom {bottom}.")
     polar, azimuth = grid(np.radians(np.linspace(top, bottom, rows + 1)), 2 * math.pi * np.arange(around) / around)
@@ -85,6 +85,8 @@ def counts(shape: str, divisions, least: tuple[int, ...]) -> list[int]:
     return [int(n) for n in found]
 
 
-def _positive(**values) -> None:
+def _positive(**values) -> list:
+    """The values, integers as floats. Raises ValueError naming one that is not positive."""
     for name, value in values.items():
         check_positive_number(name, value)
+    return [float(value) if isinstance(value, int) else value for value in values.values()]

@@ -1,7 +1,9 @@
 """Mesh files through meshio: which of their cells make a shell, and errors that name the file."""
 
+import builtins
 import contextlib
 import io
+import unittest.mock
 import warnings
 from pathlib import Path
 from typing import Any
@@ -60,18 +62,61 @@ def _content(path) -> Any:
         raise ValueError(f"The mesh file must be given by its path, but it is {path!r}.")
     if not is_file(path):
         raise FileNotFoundError(f"There is no mesh file {path}.")
+    if Path(path).suffix.lower() not in meshio.extension_to_filetypes:
+        known = ", ".join(sorted(meshio.extension_to_filetypes))
+        raise ValueError(f"{path} is of no kind that meshio reads, which it tells by the name's end ({known}).")
     quiet = io.StringIO()
     try:
-        with contextlib.redirect_stdout(quiet), contextlib.redirect_stderr(quiet):
+        with (
+            contextlib.redirect_stdout(quiet),
+            contextlib.redirect_stderr(quiet),
+            unittest.mock.patch.object(builtins, "open", _open_with_an_end),
+        ):
             return meshio.read(path)
     # meshio's readers leave by whatever a broken file leads them into, SystemExit among it.
     except (Exception, SystemExit) as error:
-        said = str(error).strip() if not isinstance(error, SystemExit) else ""
-        reason = said.splitlines()[0] if said else type(error).__name__
-        known = ", ".join(sorted(meshio.extension_to_filetypes))
-        if Path(path).suffix.lower() not in meshio.extension_to_filetypes:
-            raise ValueError(f"{path} is of no kind that meshio reads ({known}).") from error
-        raise ValueError(f"{path} cannot be read as a mesh file ({reason}): broken, or of another kind.") from error
+        raise ValueError(
+            f"{path} cannot be read as a mesh file: it is empty, broken, or of another kind than its name says."
+        ) from error
+
+
+class _Bytes(io.BufferedReader):
+    """A file whose end is an error for who goes on reading there: some of meshio's readers never stop."""
+
+    ends = 0
+
+    def readline(self, size=-1, /):
+        return _counted(self, super().readline(size))
+
+    def read(self, size=-1, /):
+        return _counted(self, super().read(size))
+
+
+class _Characters(io.TextIOWrapper):
+    """The same of text."""
+
+    ends = 0
+
+    def readline(self, size=-1, /):
+        return _counted(self, super().readline(size))
+
+    def read(self, size=-1, /):
+        return _counted(self, super().read(size))
+
+
+def _counted(file, found):
+    file.ends = 0 if found else file.ends + 1
+    if file.ends > 1000:
+        raise EOFError("The file ends too early.")
+    return found
+
+
+def _open_with_an_end(file, mode="r", *arguments, **named):
+    """`open`, whose files to read end with an error where they are read on and on."""
+    if mode not in ("r", "rb", "rt") or arguments or named:
+        return open(file, mode, *arguments, **named)
+    binary = _Bytes(io.FileIO(file))
+    return binary if mode == "rb" else _Characters(binary)
 
 
 def is_file(path) -> bool:

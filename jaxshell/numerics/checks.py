@@ -159,7 +159,7 @@ def check_finite(name: str, value) -> None:
     array = _numbers(name, value)
     if isinstance(array, Tracer):
         return
-    array = np.asarray(array)
+    array = np.asarray(array, float)  # in single precision 1e100 would be infinite too
     # Written so that NaN fails too.
     if not np.all(np.abs(array) <= LARGEST):
         index, where = _first(~(np.abs(array) <= LARGEST))
@@ -196,6 +196,8 @@ def check_number(name: str, value) -> None:
     if np.ndim(value) if isinstance(value, Tracer) else (not _is_numeric(value) or np.ndim(value)):
         raise ValueError(f"{name} must be one number, but it is {shown(value)}.")
     check_finite(name, value)
+    if isinstance(value, int) and abs(value) > 2**53:
+        raise ValueError(f"{name} must be a float where it is as large as {value}: write {float(value)}.")
 
 
 def check_positive_number(name: str, value) -> None:

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from jaxshell.plotting.histories import energy_figure, momentum_figure, watched_figure
 from jaxshell.plotting.shapes import shapes_figure
-from jaxshell.plotting.style import STYLE
+from jaxshell.plotting.style import STYLE, plain
 from jaxshell.results.solution import Solution
 
 
@@ -22,6 +22,7 @@ def figures(solutions: Mapping[str, Solution] | Solution) -> dict[str, Figure]:
         solutions = {"": solutions}
     if not solutions:
         raise ValueError("There is no solution to plot.")
+    solutions = {plain(name): solution for name, solution in solutions.items()}
     name, first = next(iter(solutions.items()))
     moving = {label: solution for label, solution in solutions.items() if len(solution.times) > 1}
     drawn = {}

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from jaxshell.model.scene import Scene
 from jaxshell.plotting.shapes import symmetry_planes
-from jaxshell.plotting.style import BLACK, BLUE, GREEN, PURPLE, VERMILLION, WIDTH, line, scaled, symmetry_note
+from jaxshell.plotting.style import BLACK, BLUE, GREEN, PURPLE, VERMILLION, WIDTH, line, plain, scaled, symmetry_note
 from jaxshell.results.diagnostics import energy_balance, momentum_scales
 from jaxshell.results.solution import Solution
 
@@ -126,7 +126,7 @@ def _axis(scene: Scene, label: str, component: str, values) -> tuple[float, str]
             return divisor, text
     largest = max(float(np.max(np.abs(value))) for value in values)
     divisor, unit = scaled(scene, largest, "m" if component[0] == "u" else "m/s")
-    return divisor, f"{label}, ${component[0]}_{component[1]}${unit}"
+    return divisor, f"{plain(label)}, ${component[0]}_{component[1]}${unit}"
 
 
 def _legend(figure: Figure, panel, runs: Runs) -> None:

@@ -36,6 +36,11 @@ STYLE: Any = {
 _PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
+def plain(text: str) -> str:
+    """Text from outside as matplotlib draws it letter by letter: a dollar sign begins no formula."""
+    return text.replace("$", r"\$")
+
+
 def line(position: int) -> dict:
     """Colour and dashes of the run at `position` among those compared."""
     return {"color": COLOURS[position % len(COLOURS)], "linestyle": DASHES[position % len(DASHES)]}

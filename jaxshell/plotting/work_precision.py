@@ -6,7 +6,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxshell.plotting.style import COLOURS, DASHES, STYLE, WIDTH
+from jaxshell.plotting.style import COLOURS, DASHES, STYLE, WIDTH, plain
 
 
 def pareto(points: Iterable) -> list:
@@ -70,7 +70,7 @@ def draw(title: str, points: Sequence, peers: Sequence = (), floor: float = 0.0)
                 loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, fontsize=7.5, handlelength=2.6,
                 columnspacing=1.0,
             )  # fmt: skip
-        figure.suptitle(title)
+        figure.suptitle(plain(title))
     return figure
 
 

@@ -12,6 +12,7 @@ from jaxshell.model.mesh import Mesh, chain, grid, structured_triangles
 from jaxshell.model.scene import Defaults, Initial, Scene
 from jaxshell.model.sections import Section
 from jaxshell.model.supports import pinned
+from jaxshell.numerics.checks import check_number
 
 
 def snapping_panel(divisions: tuple[int, int] = (8, 16), force: float = 5e7) -> Scene:
@@ -25,6 +26,7 @@ def snapping_panel(divisions: tuple[int, int] = (8, 16), force: float = 5e7) -> 
     centre would have to be above 1.2e8 N. The whole panel, free to snap asymmetrically.
     divisions = (along, around), both even. Watches "centre" (uz).
     """
+    check_number("force", force)
     along, around = generators.counts("snapping_panel", divisions, (2, 2))
     if along % 2 or around % 2:
         raise ValueError(f"divisions must be even, so that there is a node at the centre, but are {divisions}.")

@@ -11,6 +11,7 @@ from jaxshell.model.mesh import Mesh, chain, grid, structured_triangles
 from jaxshell.model.scene import Defaults, Scene
 from jaxshell.model.sections import Section
 from jaxshell.model.supports import Support, clamped, symmetry
+from jaxshell.numerics.checks import check_number
 
 
 def spherical_cap(divisions: int = 10, force: float = 444.8, thickness: float = 4e-4) -> Scene:
@@ -20,6 +21,7 @@ def spherical_cap(divisions: int = 10, force: float = 444.8, thickness: float = 
     E 68.94 GPa, ν 0.3, ρ 2618 kg/m³. `force` [N] is the whole cap's; the quarter carries a quarter.
     Point (i, j) of the grid lies at polar angle 10.9°·max(i, j)/divisions. Watches "apex" (uz).
     """
+    check_number("force", force)
     (divisions,) = counts("spherical_cap", divisions, (1,))
     radius, half_angle = 0.1209, math.radians(10.9)
     s, t = grid(*[np.arange(divisions + 1) / divisions] * 2)
@@ -104,6 +106,7 @@ def opened_cap(divisions: tuple[int, int] = (48, 10), force: float = 1.0, thickn
     48 top-ring nodes; on another number of nodes the same resultant. divisions = (around, along the
     meridian from the bottom ring). Watches "A", the top-ring node at azimuth 0 (uz).
     """
+    check_number("force", force)
     around, meridian = counts("opened_cap", divisions, (3, 1))
     radius, top, bottom = 12.16, math.radians(18.594), math.radians(55.668)
     i, j = grid(np.arange(meridian + 1), np.arange(around))

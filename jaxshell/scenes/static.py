@@ -15,6 +15,7 @@ from jaxshell.model.mesh import Mesh, chain, grid, structured_triangles
 from jaxshell.model.scene import Scene
 from jaxshell.model.sections import Section
 from jaxshell.model.supports import Support, clamped, pinned, symmetry
+from jaxshell.numerics.checks import check_number
 
 _DENSITY = 1.0
 
@@ -26,6 +27,7 @@ def cantilever_end_shear(divisions: tuple[int, int] = (32, 2), force: float = 4.
     divisions = (along, across). Watches "tip u" (ux) and "tip w" (uz), at the middle of the edge where the
     mesh has a node there.
     """
+    check_number("force", force)
     mesh = generators.rectangle(10.0, 1.0, divisions)
     return Scene(
         mesh,
@@ -44,6 +46,7 @@ def cantilever_end_moment(divisions: tuple[int, int] = (40, 1), moment: float = 
     curvature M/EI, EI = 100; the default closes the circle. divisions = (along, across). Watches "tip u"
     and "tip w".
     """
+    check_number("moment", moment)
     mesh = generators.rectangle(12.0, 1.0, divisions)
     tip = _tip(mesh, 12.0)
     share = np.full(tip.size, 1.0 / (tip.size - 1))
@@ -64,6 +67,7 @@ def slit_annular_plate(divisions: tuple[int, int] = (10, 80), force: float = 0.8
     Radii 6 and 10, h 0.03, E 21e6, ν 0; one lip clamped, the other under a line force `force` (per length)
     along +z. divisions = (radial, around). Watches "A" and "B" (uz), the loaded lip's inner and outer corner.
     """
+    check_number("force", force)
     radial, around = generators.counts("slit_annular_plate", divisions, (1, 3))
     i, j = grid(np.arange(radial + 1), np.arange(around + 1))
     r, angle = 6.0 + 4.0 * i / radial, 2 * np.pi * j / around
@@ -87,6 +91,7 @@ def cylinder_pull_out(divisions: tuple[int, int] = (16, 24), force: float = 40e3
     `force`. divisions = (along half the length, around a quarter). Watches "A" (outwards under the load),
     "B" and "C" (inwards, a quarter turn from it, at mid-length and at the end).
     """
+    check_number("force", force)
     radius, half = 4.953, 10.35 / 2
     mesh = generators.cylinder(radius, half, divisions, angle=90.0)
     top, side = mesh.nearest_node([0, 0, radius]), mesh.nearest_node([0, radius, 0])
@@ -108,6 +113,7 @@ def pinched_cylinder(divisions: tuple[int, int] = (40, 40), force: float = 12e3)
     around a quarter). Watches "A" (uz, downwards under the load) and "B" (uy, outwards a quarter turn from
     it).
     """
+    check_number("force", force)
     radius, half = 100.0, 100.0
     mesh = generators.cylinder(radius, half, divisions, angle=90.0)
     top, side = mesh.nearest_node([0, 0, radius]), mesh.nearest_node([0, radius, 0])
@@ -129,6 +135,7 @@ def pinched_semi_cylinder(divisions: tuple[int, int] = (32, 32), force: float = 
     rotation about the axis are held. Half of it, by symmetry, carries half of `force`, downwards.
     divisions = (along, around a quarter). Watches "A" (uz under the load).
     """
+    check_number("force", force)
     radius, length = 101.6, 304.8
     mesh = generators.cylinder(radius, length, divisions, angle=90.0)
     crown = mesh.nearest_node([0, 0, radius])
@@ -153,6 +160,7 @@ def hinged_roof(divisions: tuple[int, int] = (16, 16), thickness: float = 12.7, 
     back as well. One quarter by symmetry carries a quarter of the central `force`. Curved edges free. First
     studied by Sabir & Lock (1972). divisions = (along half the length, around half). Watches "centre" (uz).
     """
+    check_number("force", force)
     radius, half, angle = 2540.0, 254.0, 0.1
     along, around = generators.counts("hinged_roof", divisions, (1, 1))
     x, turn = grid(np.linspace(0, half, along + 1), np.linspace(0, angle, around + 1))
@@ -178,6 +186,7 @@ def hemisphere(divisions: tuple[int, int] = (16, 16), force: float = 100.0) -> S
     the quarter carries at either of its equator's ends, half of the whole hemisphere's. divisions = (around
     a quarter, along the meridian). Watches "inward" (uy, on the y axis) and "outward" (ux, on the x axis).
     """
+    check_number("force", force)
     around, rows = generators.counts("hemisphere", divisions, (1, 1))
     radius = 10.0
     i, j = grid(np.arange(rows + 1), np.arange(around + 1))
