@@ -62,7 +62,7 @@ def _content(path) -> Any:
         raise ValueError(f"The mesh file must be given by its path, but it is {path!r}.")
     if not is_file(path):
         raise FileNotFoundError(f"There is no mesh file {path}.")
-    if Path(path).suffix.lower() not in meshio.extension_to_filetypes:
+    if not str(path).lower().endswith(tuple(meshio.extension_to_filetypes)):
         known = ", ".join(sorted(meshio.extension_to_filetypes))
         raise ValueError(f"{path} is of no kind that meshio reads, which it tells by the name's end ({known}).")
     quiet = io.StringIO()

@@ -74,7 +74,7 @@ def shortest_edges(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def coincident_nodes(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(k, 2) each node that coincides with another which no edge joins it to, beside that other."""
+    """(k, 2) each node that coincides with one before it which no edge joins it to, beside that one."""
     number, points = _same_points(nodes)
     first = np.unique(number, return_index=True)[1]
     partner = first[number]
@@ -82,8 +82,9 @@ def coincident_nodes(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     found = [np.stack([repeated, partner[repeated]], 1)]
     if len(points) > 1:
         distance, nearest = KDTree(points).query(points, k=2)
-        near = distance[:, 1] <= COINCIDENT * shortest_edges(nodes, triangles)[first]
-        found.append(np.stack([first[near], first[nearest[near, 1]]], 1))
+        other = first[nearest[:, 1]]
+        near = (distance[:, 1] <= COINCIDENT * shortest_edges(nodes, triangles)[first]) & (other < first)
+        found.append(np.stack([first[near], other[near]], 1))
     return np.concatenate(found)
 
 
