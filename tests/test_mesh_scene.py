@@ -58,14 +58,6 @@ def test_files_that_meshio_reads(suffix, tmp_path):
     np.testing.assert_allclose(areas(mesh), areas(RECTANGLE), rtol=1e-6)
 
 
-def test_a_mesh_file_without_triangles(tmp_path):
-    meshio = pytest.importorskip("meshio")
-    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    meshio.write(tmp_path / "quad.vtk", meshio.Mesh(points, {"quad": np.array([[0, 1, 2, 3]])}))
-    with pytest.raises(ValueError, match=r"holds no triangles \(it has: quad"):
-        js.Mesh.read(tmp_path / "quad.vtk")
-
-
 # --- sections, supports, loads ----------------------------------------------------------------------------
 
 

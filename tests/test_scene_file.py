@@ -116,6 +116,7 @@ def test_mesh_file_beside_the_scene(tmp_path):
 SUPPORT = '[[supports]]\nplane = { x = 0.0 }\nhold = "clamped"\n'
 
 
+@pytest.mark.wrong_types
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -169,6 +170,26 @@ SUPPORT = '[[supports]]\nplane = { x = 0.0 }\nhold = "clamped"\n'
         (BASE + '[watch]\ntip = { node = 1, component = "rz" }', "watch 'tip' names 'rz'"),
         (BASE + "[initial]\nspeed = 1", r"\[initial\] has the unknown key 'speed'"),
         ('units = "mm"\n' + BASE, "units must be .* but it is 'mm'"),
+        ("units = 3\n" + BASE, "the file units must be a text, but it is 3"),
+        ("name = []\n" + BASE, r"the file name must be a text, but it is \[\]"),
+        ("x = " + 3000 * "[", "is not a valid TOML file: it is nested too deeply"),
+        ("x = " + 5000 * "1", "is not a valid TOML file"),
+        (BASE.replace("0.1", '"0.1"'), r"\[section\] thickness must be a number .*but it is '0.1'"),
+        (BASE.replace("0.1", "true"), r"\[section\] thickness must be a number .*but it is True"),
+        (BASE.replace("[4, 2]", "[30000, 30000]"), r"\[mesh\] A grid of 30000 by 30000 is 1800000000 triangles, more"),
+        (BASE.replace("4.0", "[4.0]"), r"\[mesh\] length must be one number, but it is \[4.0\]"),
+        (BASE.replace('"rectangle"', '["rectangle"]'), r"\[mesh\] generator must be a text, but it is \['rectangle'\]"),
+        (BASE + '[[loads]]\nkind = ["x"]', r"number 1: kind must be a text, but it is \['x'\]"),
+        (BASE + SUPPORT.replace("x = 0.0", "x = nan"), "number 1: plane x must be finite, but it is nan"),
+        (
+            BASE + SUPPORT.replace("plane = { x = 0.0 }", "nearest = [nan, 0, 0]"),
+            "nearest must be finite, but it is nan",
+        ),
+        (BASE + SUPPORT.replace("plane = { x = 0.0 }", "nodes = [true]"), "nodes must be numbers from 0 to 14"),
+        (BASE + '[watch]\ntip = { node = 1.5, component = "uz" }', "watch 'tip' names node 1.5"),
+        (BASE + "[run]\ndt = nan", r"\[run\] dt must be a number, but it is nan"),
+        (BASE + "[run]\ndt = 0.1\nt_end = inf", "t_end must be finite, but it is inf"),
+        ('[mesh]\nfile = ["a"]', r"\[mesh\] file must be a text"),
     ],
 )
 def test_errors_say_where_and_what(tmp_path, text, message):
@@ -212,6 +233,9 @@ def test_generators_have_area_boundary_and_outward_normals(name, arguments, area
     ("name", "arguments", "message"),
     [
         ("rectangle", (0.0, 1.0, [1, 1]), "length must be positive, but it is 0.0"),
+        ("rectangle", (float("nan"), 1.0, [1, 1]), "length must be finite, but it is nan"),
+        ("rectangle", ("1", 1.0, [1, 1]), "length must be one number, but it is '1'"),
+        ("spherical_cap", (1.0, 30.0, 2000), "A grid of 4000 by 4000 is 32000000 triangles"),
         ("rectangle", (1.0, 1.0, [1, 0.5]), "divisions of a rectangle"),
         ("cylinder", (1.0, 1.0, [1, 2]), "divisions of a cylinder must be whole numbers of at least 1 and 3"),
         ("cylinder", (1.0, 1.0, [1, 4], 400), "angle must be at most 360 degrees, but it is 400"),
