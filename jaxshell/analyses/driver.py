@@ -1,6 +1,7 @@
 """What every analysis shares on the host: checks and set-up of a run, the log of what it finished, its solution."""
 
 import contextlib
+import dataclasses
 import time
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ from jaxshell.gradients import Gradients
 from jaxshell.methods.base import Method, Solvers
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import is_concrete
+from jaxshell.results.frames import Frames, StoredFrames
 from jaxshell.results.output import Output
 from jaxshell.results.restart import restored
 from jaxshell.results.solution import RESULTS, Energy, Momentum, Solution, Stats
@@ -110,7 +112,29 @@ def resumed(model, plan: Plan, carry: Carry, record: Record, frame: Frame, resta
     record, frame = program.first(model, plan, carry.state)
     if plan.reactions and restart.reaction is not None:
         record = record._replace(reaction=jnp.asarray(restart.reaction[-1]))
+    if restart.newton is not None and carry.memory is not None:
+        carry = _remembering(plan, carry, restart.newton)
     return carry, record, frame, float(carry.state.time)
+
+
+def kept_by_newton(carry: Carry):
+    """What of Newton's memory a file can hold: all but the factorization, which is made anew of its matrix."""
+    if carry.memory is None:
+        return None
+    return {field.name: getattr(carry.memory, field.name) for field in dataclasses.fields(carry.memory)[1:]}
+
+
+def _remembering(plan: Plan, carry: Carry, kept: dict) -> Carry:
+    """`carry` with Newton's memory of an earlier run, where that run was of the same equations and settings."""
+    memory, own = carry.memory, kept_by_newton(carry)
+    if (
+        memory is None
+        or own is None
+        or {k: np.shape(a) for k, a in own.items()} != {k: np.shape(a) for k, a in kept.items()}
+    ):
+        return carry
+    memory = dataclasses.replace(memory, **{name: jnp.asarray(kept[name], own[name].dtype) for name in own})
+    return program.with_memory(plan, carry, memory) if memory.values.size else carry._replace(memory=memory)
 
 
 def single(tree):
@@ -137,6 +161,7 @@ class Log:
         self.outputs = _outputs_of(output)
         self.records: list[Record] = []
         self.frames: list[Frame] = []
+        self.frame_times: list[Any] = []
         self.begun = time.perf_counter()
 
     def __enter__(self) -> "Log":
@@ -160,18 +185,23 @@ class Log:
         """Reached until now."""
         return float(next(record.time[-1] for record in reversed(self.records) if record.time.size))
 
-    def append(self, record: Record, frame: Frame, state=None) -> None:
-        """Steps and frames, each leaf with a leading axis, and the state at their end where a run can go on from it."""
+    def append(self, record: Record, frame: Frame, carry: Carry | None = None) -> None:
+        """Steps and frames, each leaf with a leading axis, and the carry at their end where a run can go on from it."""
         self.records.append(record)
-        self.frames.append(frame)
+        self.frame_times.append(frame.time)
         if self.outputs:
-            part = solution_of(self.scene, record, frame, state, analysis=self.analysis)
+            part = solution_of(self.scene, record, frame, carry, analysis=self.analysis)
             for output in self.outputs:
                 output.append(part)
+        if all(output.frames() is None for output in self.outputs):
+            self.frames.append(frame)
 
-    def finish(self, state, code: int, message: str, **figures) -> Solution:
-        """Tell the outputs how the run ended, and return all of it. `figures` stand in the stats besides the usual."""
-        record, frame = (jax.tree.map(lambda *a: np.concatenate(a), *parts) for parts in (self.records, self.frames))
+    def finish(self, carry: Carry | None, code: int, message: str, **figures) -> Solution:
+        """Tell the outputs how the run ended, and return all of it. `figures` stand in the stats besides the usual.
+
+        Frames that an output stored are read from there, and have not been kept in memory.
+        """
+        record = jax.tree.map(lambda *a: np.concatenate(a), *self.records)
         stats = Stats(
             method=self.settings["method"],
             newton=self.settings["newton"],
@@ -185,8 +215,13 @@ class Log:
         )
         for output in self.outputs:
             output.finish(RESULT_NAMES[code], message, stats)
-        record, frame = jax.device_put((record, frame))
-        return solution_of(self.scene, record, frame, state, result_of(code), message, stats, self.analysis)
+        stored = next((frames for output in self.outputs if (frames := output.frames()) is not None), None)
+        if stored is not None:
+            frame = StoredAs(np.concatenate(self.frame_times), stored)
+        else:
+            frame = jax.device_put(jax.tree.map(lambda *a: np.concatenate(a), *self.frames))
+        record = jax.device_put(record)
+        return solution_of(self.scene, record, frame, carry, result_of(code), message, stats, self.analysis)
 
 
 def _outputs_of(given) -> tuple[Output, ...]:
@@ -207,11 +242,29 @@ def result_of(code: int) -> RESULTS:
     return getattr(RESULTS, RESULT_NAMES[code])
 
 
+class StoredAs(NamedTuple):
+    """The frames of a run that an output has stored."""
+
+    time: Any
+    frames: StoredFrames
+
+
 def solution_of(
-    scene: Scene, record: Record, frame: Frame, state, result=None, message="", stats=None, analysis="time"
+    scene: Scene,
+    record: Record,
+    frame: Frame | StoredAs,
+    carry: Carry | None,
+    result=None,
+    message="",
+    stats=None,
+    analysis="time",
 ) -> Solution:
-    """The solution that histories and frames, each with a leading axis, make."""
+    """The solution that histories and frames, each with a leading axis, make; `carry` is of its end."""
     seen = record.observed
+    if isinstance(frame, StoredAs):
+        frames = frame.frames
+    else:
+        frames = Frames(frame.displacements, frame.rotations, frame.velocities)
     return Solution(
         scene=scene,
         times=record.time,
@@ -220,10 +273,9 @@ def solution_of(
         momentum=Momentum(seen.linear, seen.angular),
         iterations=record.iterations,
         frame_times=frame.time,
-        displacements=frame.displacements,
-        rotations=frame.rotations,
-        velocities=frame.velocities,
-        state=state,
+        frames=frames,
+        state=None if carry is None else carry.state,
+        newton=None if carry is None else kept_by_newton(carry),
         result=RESULTS.successful if result is None else result,
         message=message,
         stats=Stats() if stats is None else stats,
@@ -247,7 +299,7 @@ def run_traced(
     result = RESULTS.successful
     for code in range(len(RESULT_NAMES)):
         result = RESULTS.where(carry.result == code, result_of(code), result)
-    solution = solution_of(setup.scene, record, frame, carry.state, result, analysis=analysis)
+    solution = solution_of(setup.scene, record, frame, carry._replace(memory=None), result, analysis=analysis)
     return _raise_on_failure(solution) if throw else solution
 
 

@@ -7,8 +7,8 @@ M is the consistent mass of the paper's kinetic energy, eq. (34), linear in tran
 ½∫ ρh |v|² + (ρh³/12)|ṫ|² dA. Turning about the director (drilling) has no inertia, so M is singular; the
 solver, SciPy's shift-invert Lanczos (ARPACK), needs no inverse of it.
 
-Eigenvalues are differentiated as Rayleigh quotients with the vectors held fixed, dλ = φᵀ (dK - λ dM) φ,
-which is right for simple eigenvalues. The derivative of the vectors is not offered.
+Both are solved in units in which no number depends on the user's. `jaxshell.solvers.eigenpairs` has the derivatives
+of eigenvalues and modes.
 """
 
 import equinox as eqx
@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Array, Float
+from scipy.linalg import LinAlgError, eig, eigh
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, splu
 
 from jaxshell.analyses.statics import proportional
@@ -31,10 +32,16 @@ from jaxshell.numerics import rotations
 from jaxshell.numerics.checks import is_concrete, require_float64
 from jaxshell.numerics.compiled import compiled
 from jaxshell.results.solution import Solution
-from jaxshell.solvers.linear_solver import default_solver, linear_solve
+from jaxshell.solvers.eigenpairs import Pencil, eigenvalues, eigenvectors, quadratic, symmetric
+from jaxshell.solvers.iteration import Linear
+from jaxshell.solvers.linear_solver import default_solver, scaled
 
 _RIGID = 1e-3
 """A free shell's motion below this part of the lowest bending frequency scale is a rigid-body motion."""
+_DENSE = 120
+"""Degrees of freedom up to which eigenvalues are those of full matrices; Lanczos' space may not fit into fewer."""
+_ROUND_OFF = 1e-12
+"""An energy below this part of its terms is noise."""
 
 
 class Modes(eqx.Module):
@@ -43,7 +50,8 @@ class Modes(eqx.Module):
     frequencies: Float[Array, " c"]
     """[1/time, Hz where time is in seconds]; negative where ω² is: the state is unstable."""
     shapes: Float[Array, "c n 6"]
-    """Nodal displacements and spins, mass-normalised: φᵀ M φ = 1. Not differentiable."""
+    """Nodal displacements and spins, mass-normalised: φᵀ M φ = 1. Their derivatives are NaN where another frequency is
+    equal."""
 
 
 class BucklingModes(eqx.Module):
@@ -52,7 +60,8 @@ class BucklingModes(eqx.Module):
     load_factors: Float[Array, " c"]
     """Multiples of the scene's loads; infinite where fewer exist than were asked for."""
     shapes: Float[Array, "c n 6"]
-    """Nodal displacements and spins, the largest displacement 1. Not differentiable."""
+    """Nodal displacements and spins, the largest displacement 1. Their derivatives are NaN where another factor is
+    equal."""
 
 
 def natural_frequencies(
@@ -74,27 +83,34 @@ def natural_frequencies(
     require_float64()
     tables, pattern = analyse(structure_of(scene))
     _check_count(count, pattern.size)
-    state = _initial_state(scene) if about is None else (about.displacements[-1], about.rotations[-1])
+    state = _initial_state(scene) if about is None else (about.frame(-1).displacements, about.frame(-1).rotations)
     time = jnp.zeros(()) if about is None else about.times[-1]
     if about is not None and about.analysis == "static":
         scene = proportional(scene)
-    K, M, shift = _vibration_matrices(scene, tables, state, time)
+    *values, units, shift = _vibration_matrices(scene, tables, state, time)
+    K, M = (_posed(pattern, units, v) for v in values)
     spare = 0 if rigid_modes else 6 * connected_parts(scene.mesh.triangles, scene.mesh.n_nodes)[0]
 
     def solve(K, M, shift):
+        # ω² as a multiple of a power of two near `shift`: ARPACK's tolerances are absolute.
+        size, unit = _power_of_two(np.abs(K).max()), _power_of_two(shift)
+        shift = float(shift) / unit
         asked = min(count + spare, pattern.size - 1)
-        values, vectors = _shift_invert(_symmetric(pattern, K), _symmetric(pattern, M), -float(shift), asked)
+        values, vectors = _shift_invert(_sparse(pattern, K / size), _sparse(pattern, M * (unit / size)), -shift, asked)
         kept = slice(None)
         if not rigid_modes:
-            kept = np.flatnonzero(np.abs(values) > _RIGID**2 * float(shift))
+            kept = np.flatnonzero(np.abs(values) > _RIGID**2 * shift)
         values, vectors = values[kept][:count], vectors[:, kept][:, :count]
         return np.pad(vectors.T, ((0, count - len(values)), (0, 0)), constant_values=np.nan)
 
-    vectors = _on_host(solve, (count, pattern.size), K, M, shift)
-    omega_sq = _quotients(pattern, vectors, K, M)
-    safe = jnp.where(omega_sq == 0, 1.0, jnp.abs(omega_sq))
-    frequencies = jnp.where(omega_sq == 0, 0.0, jnp.sign(omega_sq) * jnp.sqrt(safe)) / (2 * jnp.pi)
-    return Modes(frequencies, _nodal(tables, vectors))
+    vectors = _normalised(pattern, M, _on_host(solve, (count, pattern.size), K, M, shift))
+    rigid = _are_rigid(pattern, K, vectors, shift)
+    pencil = Pencil(K, M, pattern)
+    omega_sq = eigenvalues(pencil, vectors, ~rigid)
+    still = rigid | (omega_sq == 0)
+    safe = jnp.where(still, 1.0, jnp.abs(omega_sq))
+    frequencies = jnp.where(still, 0.0, jnp.sign(omega_sq) * jnp.sqrt(safe)) / (2 * jnp.pi)
+    return Modes(frequencies, _nodal(tables, units * eigenvectors(pencil, vectors)))
 
 
 def linear_buckling(scene: Scene, count: int = 5) -> BucklingModes:
@@ -112,18 +128,24 @@ def linear_buckling(scene: Scene, count: int = 5) -> BucklingModes:
     tables, pattern = analyse(structure_of(scene))
     _check_count(count, pattern.size)
     handle = default_solver().prepare(pattern)
-    K, K_sigma = _buckling_matrices(proportional(scene), tables, handle)
+    *values, units = _buckling_matrices(proportional(scene), tables, handle)
+    K, K_sigma = (_posed(pattern, units, v) for v in values)
 
     def solve(K, K_sigma):
-        K, K_sigma = _symmetric(pattern, K), _symmetric(pattern, K_sigma)
+        sizes = (_power_of_two(np.abs(values).max()) for values in (K, K_sigma))
+        K, K_sigma = (_sparse(pattern, v / size) for v, size in zip((K, K_sigma), sizes, strict=True))
+        if pattern.size <= _DENSE:
+            _, vectors = eigh(-K_sigma.toarray(), K.toarray())
+            return vectors.T[::-1][:count]
         _, vectors = _lanczos(-K_sigma, k=count, M=K, Minv=_Inverse(K), which="LA")
         return vectors.T[::-1]
 
-    vectors = _on_host(solve, (count, pattern.size), K, K_sigma)
-    reciprocal = -_quotients(pattern, vectors, K_sigma, K)
-    positive = reciprocal > 0
+    vectors = _normalised(pattern, K, _on_host(solve, (count, pattern.size), K, K_sigma))
+    positive = quadratic(pattern, jax.lax.stop_gradient(K_sigma), vectors) < 0
+    pencil = Pencil(-K_sigma, K, pattern)
+    reciprocal = eigenvalues(pencil, vectors, positive)
     factors = jnp.where(positive, 1.0 / jnp.where(positive, reciprocal, 1.0), jnp.inf)
-    shapes = _nodal(tables, vectors)
+    shapes = _nodal(tables, units * eigenvectors(pencil, vectors))
     return BucklingModes(factors, shapes / jnp.max(jnp.abs(shapes[:, :, :3]), axis=(1, 2), keepdims=True))
 
 
@@ -142,7 +164,8 @@ def _initial_state(scene: Scene):
 
 @compiled
 def _vibration_matrices(scene: Scene, tables: Tables, state, time):
-    """Values of K and M over the free degrees of freedom, and a scale of ω² below the bending frequencies."""
+    """Values of K and M over the free degrees of freedom, their units, and a scale of ω² below the bending
+    frequencies."""
     model = Model.build(scene, tables)
     placed = model.x0 + state[0], state[1]
     x, R = model.gather(placed)
@@ -153,12 +176,12 @@ def _vibration_matrices(scene: Scene, tables: Tables, state, time):
     # Plate rigidity D ~ the bending stiffness, an entry [force·length], of an element with like sides.
     rigidity = jnp.mean(jnp.trace(elements.K_bending, axis1=1, axis2=2)) / 6.0
     shift = rigidity / (jnp.mean(elements.mass_per_area) * model.size**4)
-    return model.assemble_matrix(K, following), model.assemble_matrix(M), shift
+    return model.assemble_matrix(K, following), model.assemble_matrix(M), model.units, shift
 
 
 @compiled
 def _buckling_matrices(scene: Scene, tables: Tables, handle):
-    """Values of K and K_σ over the free degrees of freedom, K_σ for load factor 1."""
+    """Values of K and K_σ over the free degrees of freedom, K_σ for load factor 1, and their units."""
     model = Model.build(scene, tables)
     n = model.x0.shape[0]
     at_rest = model.x0, jnp.broadcast_to(jnp.eye(3), (n, 3, 3))
@@ -169,7 +192,7 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
     internal = model.assemble_vector(jnp.einsum("mij,mj->mi", matrices, model.gather(moved).reshape(-1, 18)))
     loads = model.external_load(*at_rest, 1.0)
     K = model.assemble_matrix(matrices)
-    free = linear_solve(default_solver(), handle, K, model.free(loads - internal))
+    free = Linear(default_solver(), handle, model.units).solve_once(K, model.free(loads - internal))
     u = model.gather(model.expand(free, held).reshape(n, 6))
 
     def stress_stiffness(x, R, u, element):
@@ -179,7 +202,7 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
         return corotational.stiffness(kin, f, element, None, material=0.0)
 
     K_sigma = jax.vmap(stress_stiffness)(x, R, u, model.elements)
-    return K, model.assemble_matrix(K_sigma, model.following_stiffness(*at_rest, 1.0))
+    return K, model.assemble_matrix(K_sigma, model.following_stiffness(*at_rest, 1.0)), model.units
 
 
 def mass_matrix(R: Float[Array, "3 3 3"], element: corotational.Element) -> Float[Array, "18 18"]:
@@ -209,11 +232,34 @@ def _on_host(function, shape, *values) -> Float[Array, "c nf"]:
     return jax.lax.stop_gradient(found)
 
 
-def _symmetric(pattern: SparsityPattern, values: np.ndarray) -> sparse.csc_matrix:
-    """The symmetric part: K_Stat is symmetric where the state is in equilibrium."""
+def _posed(pattern: SparsityPattern, units, values) -> Float[Array, " m"]:
+    """The symmetric part (K_Stat is symmetric where the state is in equilibrium), in the units of the unknowns."""
+    with jax.ensure_compile_time_eval():
+        rows, columns = jnp.asarray(pattern.rows), jnp.asarray(pattern.indices.array)
+    return scaled(symmetric(pattern, values), rows, columns, units)
+
+
+def _power_of_two(number) -> float:
+    """The one above `number`; 1 for zero."""
+    return float(np.ldexp(1.0, np.frexp(float(number))[1]))
+
+
+def _sparse(pattern: SparsityPattern, values: np.ndarray) -> sparse.csc_matrix:
     size = pattern.size
-    matrix = sparse.csr_matrix((values, pattern.indices.array, pattern.indptr.array), (size, size))
-    return (0.5 * (matrix + matrix.T)).tocsc()
+    return sparse.csr_matrix((values, pattern.indices.array, pattern.indptr.array), (size, size)).tocsc()
+
+
+def _normalised(pattern: SparsityPattern, values, vectors) -> Float[Array, "c nf"]:
+    """Vectors with φᵀ B φ = 1 for the matrix B of these values; constants for derivatives."""
+    return vectors / jnp.sqrt(quadratic(pattern, jax.lax.stop_gradient(values), vectors))[:, None]
+
+
+def _are_rigid(pattern: SparsityPattern, K, vectors, shift):
+    """Which mass-normalised vectors move the shell without deforming it: no energy but round-off."""
+    K, shift = jax.lax.stop_gradient((K, shift))
+    energy = jnp.abs(quadratic(pattern, K, vectors))
+    terms = quadratic(pattern, jnp.abs(K), jnp.abs(vectors))
+    return (energy < _ROUND_OFF * terms) & (energy < _RIGID**2 * shift)
 
 
 class _Inverse(LinearOperator):
@@ -230,12 +276,27 @@ class _Inverse(LinearOperator):
 def _shift_invert(K, M, shift: float, count: int) -> tuple[np.ndarray, np.ndarray]:
     """The `count` eigenpairs of K φ = λ M φ nearest to `shift` from above, ascending, φᵀ M φ = 1."""
     inverse = _Inverse((K - shift * M).tocsc())
-    values, vectors = _lanczos(K, k=count, M=M, sigma=shift, OPinv=inverse, which="LM")
+    if M.shape[0] <= _DENSE:
+        values, vectors = _dense_shift_invert(K.toarray(), M.toarray(), shift, count)
+    else:
+        values, vectors = _lanczos(K, k=count, M=M, sigma=shift, OPinv=inverse, which="LM")
     # One more step cleans the vectors of what the singular mass matrix cannot see.
     vectors = inverse.factors.solve(M @ vectors)
     vectors = vectors / np.sqrt(np.sum(vectors * (M @ vectors), axis=0))
     order = np.argsort(values)
     return values[order], vectors[:, order]
+
+
+def _dense_shift_invert(K, M, shift: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The eigenpairs of K φ = λ M φ nearest to `shift`, from M φ = θ (K - shift M) φ with λ = shift + 1/θ."""
+    shifted = K - shift * M
+    try:
+        theta, vectors = eigh(M, shifted)
+    except LinAlgError:  # not positive definite, about an unstable state
+        theta, vectors = (part.real for part in eig(M, shifted))
+    nearest = np.argsort(-np.abs(theta))[:count]
+    with np.errstate(divide="ignore"):  # beyond the rank of M
+        return shift + 1.0 / theta[nearest], vectors[:, nearest]
 
 
 def _lanczos(matrix, **options):
@@ -246,17 +307,6 @@ def _lanczos(matrix, **options):
     except ArpackNoConvergence as error:
         found = len(error.eigenvalues)
         raise RuntimeError(f"Only {found} of {options['k']} eigenvalues converged; ask for fewer.") from error
-
-
-def _quotients(pattern: SparsityPattern, vectors, upper, lower) -> Float[Array, " c"]:
-    """Rayleigh quotients φᵀ A φ / φᵀ B φ of sparse values A (`upper`) and B (`lower`)."""
-    with jax.ensure_compile_time_eval():
-        rows, columns = jnp.asarray(pattern.rows), jnp.asarray(pattern.indices.array)
-
-    def form(values):
-        return jnp.sum(vectors[:, rows] * values * vectors[:, columns], axis=1)
-
-    return form(upper) / form(lower)
 
 
 def _nodal(tables: Tables, vectors) -> Float[Array, "c n 6"]:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxshell.analyses.step_control import Control, StepControl
 from jaxshell.assembly.discretised import Model
@@ -170,6 +170,18 @@ def run_whole(model: Model, plan: Plan, gradients: Gradients, carry, steps):
     return scan_steps(gradients, one, lambda carry: frame(model, carry.state), carry, steps, plan.save_every)
 
 
+@compiled
+def with_memory(plan: Plan, carry: Carry, kept: Memory) -> Carry:
+    """`carry` with what an earlier run's iteration kept; its factorization is made anew, and comes out the same."""
+    linear = plan.solvers.linear
+    factored = jax.lax.cond(
+        kept.stale,
+        lambda: linear.solver.initial_factorization(linear.handle),
+        lambda: linear.solver.factor(linear.handle, kept.values),
+    )
+    return carry._replace(memory=eqx.tree_at(lambda m: m.factorization, kept, factored))
+
+
 class Attempts(NamedTuple):
     """The carry of a run under step control."""
 
@@ -184,14 +196,14 @@ def try_steps(
     control: StepControl,
     attempts: Attempts,
     stops: Float[Array, " s"],
-    chunk: Float[Array, " c"],
+    allowed: Bool[Array, " c"],
 ):
-    """As many attempts at a step as `chunk` is long; `stops` are the times to land on, the last ends the run.
+    """As many attempts at a step as are allowed; `stops` are the times to land on, the last ends the run.
 
     Returns the carry, a record and a frame per attempt; `done` marks the accepted steps.
     """
 
-    def attempt(attempts: Attempts, _):
+    def attempt(attempts: Attempts, allowed):
         carry, now = attempts
         stop = stops[jnp.searchsorted(stops, now.time, side="right")]
         dt, lands = control.next_step(now, stop)
@@ -212,7 +224,7 @@ def try_steps(
         def skip():
             return attempts, empty(jax.eval_shape(lambda: first(model, plan, carry.state)))
 
-        active = (carry.result == SUCCESSFUL) & (now.time < stops[-1])
+        active = allowed & (carry.result == SUCCESSFUL) & (now.time < stops[-1])
         return jax.lax.cond(active, take, skip)
 
-    return jax.lax.scan(attempt, attempts, chunk)
+    return jax.lax.scan(attempt, attempts, allowed)

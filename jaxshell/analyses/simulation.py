@@ -42,8 +42,11 @@ from jaxshell.solvers.linear_solver import LinearSolver
 from jaxshell.solvers.newton import Newton
 
 _CHUNK_STEPS = 50
-"""Steps between two looks of the host: often enough for a progress bar, seldom enough to cost nothing."""
-
+"""The most steps between two looks of the host: seldom enough to cost nothing."""
+_CHUNK_TIME = 0.7
+"""Seconds between two looks, about: after so long a run shows its progress, hears Ctrl-C and has its steps on disk."""
+_CHUNK_BYTES = 2**24
+"""Frames of a chunk, which are in memory together."""
 
 _STOPS = 128
 """Under step control, room for so many output times and kinks at a time."""
@@ -116,10 +119,11 @@ def simulate(
                 "steps is not known. Run it once, then trace simulate(..., dt=solution.step_sizes)."
             )
         return run_traced(setup, steps, Stored() if gradients is None else gradients, throw, restart=restart)
-    duration = steps.stops[-1] if isinstance(steps, Controlled) else np.sum(steps)
     asked = {} if linear_solver is None else {"linear_solver": type(linear_solver).__name__.lower()}
-    with Progress(float(duration), enabled=progress) as bar:
-        solution = _driven_run(setup, steps, output, bar, restart, asked)
+    with Progress(enabled=progress) as bar:
+        solution = _driven_run(
+            setup, steps if isinstance(steps, Controlled) else dt, t_end, output, bar, restart, asked
+        )
     if throw and solution.message:
         raise SimulationError(solution.message, solution)
     return solution
@@ -145,48 +149,76 @@ class Chunk(NamedTuple):
     """Steps accepted and rejected until then, under step control."""
 
 
-def _driven_run(setup: Setup, steps, output, bar, restart, asked: dict) -> Solution:
+def _driven_run(setup: Setup, dt, t_end, output, bar, restart, asked: dict) -> Solution:
     begun, first_chunk = time.perf_counter(), 0.0
     model, carry, record, frame = setup.prepare()
     carry, record, frame, start = resumed(model, setup.plan, carry, record, frame, restart)
-    controlled = isinstance(steps, Controlled)
-    chunks = (_controlled_chunks if controlled else _fixed_chunks)(setup.plan, model, carry, steps, start)
-    settings = {
-        **asked,
-        "dt": quote(steps.control) if controlled else float(steps[0]),
-        "t_end": float(start + (steps.stops[-1] if controlled else np.sum(steps))),
-    }
-    bar.start = start
-    log = Log(setup.scene, setup.plan, output, settings)
+    if isinstance(dt, Controlled):
+        duration, shown = dt.stops[-1], quote(dt.control)
+        chunks = _controlled_chunks(setup.plan, model, carry, dt, start)
+    else:
+        steps, ends = _fixed_steps(dt, t_end, start)
+        duration, shown = np.sum(steps), float(steps[0])
+        chunks = _fixed_chunks(setup.plan, model, carry, steps, ends)
+    end = start + (duration if t_end is None or isinstance(dt, Controlled) else t_end)
+    bar.start, bar.duration = start, float(duration)
+    log = Log(setup.scene, setup.plan, output, {**asked, "dt": shown, "t_end": float(end)})
     log.begun = begun
     with log:
-        log.append(single(record), single(frame), carry.state)
+        log.append(single(record), single(frame), carry)
         chunk = Chunk(carry, record, frame, 0.0, {})
         for chunk in chunks:
-            log.append(chunk.record, chunk.frame, chunk.carry.state)
+            log.append(chunk.record, chunk.frame, chunk.carry)
             first_chunk = first_chunk or time.perf_counter() - begun
             bar.advance(chunk.record)
         code = int(chunk.carry.result)
         message = _message(code, log.steps + 1, log.latest_time, chunk.dt)
-        return log.finish(chunk.carry.state, code, message, **chunk.counts, first_chunk_time=first_chunk)
+        return log.finish(chunk.carry, code, message, **chunk.counts, first_chunk_time=first_chunk)
 
 
-def _fixed_chunks(plan: Plan, model, carry, steps, start):
-    """Run given step sizes, chunk by chunk."""
-    save_every = plan.save_every
-    frames = max(1, _CHUNK_STEPS // save_every)  # of any run, so that its length compiles nothing anew
-    size, ends, taken = frames * save_every, start + np.cumsum(steps), 0
-    for at in range(0, len(steps), size):
-        fill = size - len(steps[at : at + size])
-        pairs = [np.pad(a[at : at + size], (0, fill)).reshape(frames, save_every) for a in (steps, ends)]
-        carry, *found = program.run(model, plan, carry, tuple(pairs))
+class _Pace:
+    """How many steps the next chunk has, so that it takes about `_CHUNK_TIME`."""
+
+    def __init__(self, most: int):
+        self.most, self.steps, self.begun = most, min(2, most), time.perf_counter()
+
+    def after(self, taken: int) -> None:
+        """Learn from a chunk of `taken` steps. The first compiles, and says little."""
+        now = time.perf_counter()
+        fits = int(taken * _CHUNK_TIME / max(now - self.begun, 1e-9))
+        self.steps, self.begun = max(1, min(self.most, 4 * self.steps, fits)), now
+
+
+def _fixed_chunks(plan: Plan, model, carry, steps, ends):
+    """Run given step sizes to the given times, chunk by chunk.
+
+    A chunk has rows of steps with a frame after each; what is not to be taken yet has the size 0. So chunks of every
+    length and the frames' distance, beyond a chunk's, compile nothing anew.
+    """
+    columns = min(plan.save_every, _CHUNK_STEPS)
+    rows = max(1, min(_CHUNK_STEPS // columns, _CHUNK_BYTES // model.x0.nbytes // 5))
+    pace, at = _Pace(rows * columns), 0
+    while at < len(steps):
+        sizes, times = np.zeros((rows, columns)), np.zeros((rows, columns))
+        shown, first, budget = np.zeros(rows, bool), at, pace.steps
+        for row in range(rows):
+            count = min(columns, plan.save_every - at % plan.save_every, len(steps) - at, budget)
+            sizes[row, :count], times[row, :count] = steps[at : at + count], ends[at : at + count]
+            at, budget = at + count, budget - count
+            shown[row] = count > 0 and (at % plan.save_every == 0 or at == len(steps))
+        carry, *found = program.run(model, plan, carry, (sizes, times))
         record, frame = jax.tree.map(np.asarray, tuple(found))
         done = record.done
-        # Frames none of whose steps was taken repeat the last state.
-        fresh = done.reshape(frames, save_every).any(axis=1)
-        taken += int(done.sum())
-        yield Chunk(carry, _select(record, done), _select(frame, fresh), steps[min(taken, len(steps) - 1)], {})
-        if int(carry.result) != SUCCESSFUL:
+        failed = int(carry.result) != SUCCESSFUL
+        # Of a run that fails, the state that it reached is the last frame.
+        taken = done.reshape(rows, columns).any(axis=1)
+        fresh = taken & shown
+        if failed and taken.any():
+            fresh[np.flatnonzero(taken)[-1]] = True
+        pace.after(at - first)
+        reached = first + int(done.sum())
+        yield Chunk(carry, _select(record, done), _select(frame, fresh), steps[min(reached, len(steps) - 1)], {})
+        if failed:
             return
 
 
@@ -197,9 +229,13 @@ def _controlled_chunks(plan: Plan, model, carry, steps: Controlled, start):
     outputs, stops = (start + times for times in (steps.outputs, steps.stops))
     stops = np.pad(stops, (0, -len(stops) % _STOPS), mode="edge")
     attempts = program.Attempts(carry, control.start(start))
+    most = max(1, min(_CHUNK_STEPS, _CHUNK_BYTES // model.x0.nbytes // 5))
+    pace = _Pace(most)
     while float(attempts.control.time) < stops[-1] and int(attempts.carry.result) == SUCCESSFUL:
-        attempts, found = program.try_steps(model, plan, control, attempts, stops, jnp.zeros(_CHUNK_STEPS))
+        allowed = np.arange(most) < pace.steps
+        attempts, found = program.try_steps(model, plan, control, attempts, stops, allowed)
         record, frame = jax.tree.map(np.asarray, found)
+        pace.after(int(allowed.sum()))
         shown = record.done & np.isin(record.time, outputs)
         counts = {name: int(getattr(attempts.control, name)) for name in ("accepted", "rejected")}
         yield Chunk(attempts.carry, _select(record, record.done), _select(frame, shown), attempts.control.dt, counts)
@@ -251,9 +287,26 @@ def _step_sizes(dt, t_end):
     if not (is_concrete(dt) and is_concrete(t_end)):
         raise ValueError("The number of steps must be known: pass an array of step sizes to trace dt or t_end.")
     check_steps(dt, t_end)
-    count = max(1, int(np.ceil(float(t_end) / float(dt) * (1 - 1e-10))))
-    steps = np.full(count, float(dt))
-    steps[-1] = float(t_end) - (count - 1) * float(dt)
-    if abs(steps[-1] - float(dt)) < 1e-9 * float(dt):
-        steps[-1] = float(dt)
-    return steps
+    return _fixed_steps(dt, t_end, 0.0)[0]
+
+
+def _fixed_steps(dt, t_end, start: float) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes of the steps (N,) from the time `start` on, and the times at their ends.
+
+    Equal steps end at the multiples of dt, whether or not the run was begun before them: so one that goes on takes the
+    steps that it would have taken.
+    """
+    if np.ndim(dt) == 1:
+        steps = np.asarray(dt, float)
+        return steps, start + np.cumsum(steps)
+    dt, end = float(dt), start + float(t_end)
+    before = round(start / dt)
+    origin = 0.0 if before * dt == start else start
+    before = before if origin == 0.0 else 0
+    count = max(before + 1, int(np.ceil((end - origin) / dt * (1 - 1e-10))))
+    ends = origin + dt * np.arange(before + 1, count + 1)
+    steps = np.full(len(ends), dt)
+    last = end - (origin + (count - 1) * dt)
+    if abs(last - dt) >= 1e-9 * dt:
+        steps[-1], ends[-1] = last, end
+    return steps, ends

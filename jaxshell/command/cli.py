@@ -1,7 +1,8 @@
 """The command `jaxshell`: run a scene, plot result files, chart and advise on speed, list the scenes.
 
-Exit status: 0, or 1 when a run failed (what it finished is kept and drawn), 2 for bad input, 130 when stopped
-by the keyboard. JAX and matplotlib are imported when a command needs them, and float64 is switched on here.
+Exit status: 0, or 1 when a run failed (what it finished is kept and drawn), 2 for bad input, 128 and the signal's
+number when stopped by one: 130 by the keyboard, 143 by SIGTERM, 129 by SIGHUP. JAX and matplotlib are imported when a
+command needs them, and float64 is switched on here.
 """
 
 import argparse
@@ -23,20 +24,28 @@ from jaxshell.command.run_settings import (
     what_is_left,
     with_picture_times,
 )
+from jaxshell.files.quoted import file_part
 from jaxshell.files.run_keys import add_options
+from jaxshell.numerics.signals import LostOutput, exit_status, raising
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status. Errors in the arguments leave through SystemExit(2)."""
     options = _parser().parse_args(arguments)
+    if hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(line_buffering=True)  # pyright: ignore[reportAttributeAccessIssue]
     try:
-        return options.command(options)
-    except KeyboardInterrupt:
+        with raising():
+            return options.command(options)
+    except KeyboardInterrupt as stopped:
         print("jaxshell: stopped.", file=sys.stderr)
-        return 130
+        return exit_status(stopped)
+    except BrokenPipeError:  # who read the output has gone
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
+        return 141
     except (ValueError, OSError, ImportError) as error:
-        print(f"jaxshell: {error}", file=sys.stderr)
-        return 2
+        print(f"jaxshell: {getattr(error, 'strerror', None) or error}", file=sys.stderr)
+        return 1 if isinstance(error, LostOutput) else 2
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -60,6 +69,7 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="go on from the end of a result file, to the end it was to have or for --t-end more",
     )
+    run.add_argument("--overwrite", action="store_true", help="replace a result file also where its run did not end")
     run.add_argument("--no-plots", action="store_true", help="write the results only")
     run.add_argument("--quiet", action="store_true", help="print errors only")
 
@@ -104,6 +114,7 @@ def _run(options: argparse.Namespace) -> int:
     _prepare_jax()
     from jaxshell.analyses.simulation import simulate
     from jaxshell.command.report import describe_run, describe_scene
+    from jaxshell.results.hdf5 import ResultWriter
     from jaxshell.results.solution import RESULTS
 
     scene, of_file, stem = open_scene(options.scene, options.divisions)
@@ -131,15 +142,18 @@ def _run(options: argparse.Namespace) -> int:
                 restart=restart,
                 throw=False,
                 progress=sys.stderr.isatty() and not options.quiet,
-                output=path,
+                output=ResultWriter(path, overwrite=options.overwrite),
             )
-        except KeyboardInterrupt:
-            print(
-                f"jaxshell: stopped; {path} holds what was computed until then. "
-                f"`jaxshell run {path} --continue` goes on with it.",
-                file=sys.stderr,
-            )
-            return 130
+        except KeyboardInterrupt as stopped:
+            if path.exists():
+                print(
+                    f"jaxshell: stopped; {path} holds what was computed until then. "
+                    f"`jaxshell run {path} --continue` goes on with it.",
+                    file=sys.stderr,
+                )
+            else:
+                print("jaxshell: stopped before the first step.", file=sys.stderr)
+            return exit_status(stopped)
         solutions[label] = solution
         say(describe_run(label, solution, path))
         if not bool(solution.result == RESULTS.successful):
@@ -249,11 +263,11 @@ def _prepare_jax() -> None:
 def _file_part(label: str) -> str:
     """A method's label as part of a file's name."""
     plain = label.replace("ρ∞", "rho").replace("ξ", "xi").replace(" = ", "").replace(", ", "_")
-    return "".join(c if c.isalnum() or c in "._-" else "_" for c in plain)
+    return file_part(plain)
 
 
 def _common_stem(loaded: dict) -> str:
     """The first words that all files' names share, or else the scene's name."""
     words = zip(*(path.stem.split("_") for path in loaded), strict=False)
     shared = [same[0] for same in itertools.takewhile(lambda same: len(set(same)) == 1, words)]
-    return "_".join(shared) or next(iter(loaded.values())).scene.name
+    return "_".join(shared) or file_part(next(iter(loaded.values())).scene.name)

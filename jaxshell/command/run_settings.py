@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jaxshell.files.run_keys import METHOD_KEYS, STEP_KEYS, RunSettings
 
 _RESULT_FILES = (".h5", ".hdf5")
@@ -168,6 +170,7 @@ def _of(settings: RunSettings, prefix: str, skip: str = "") -> dict[str, Any]:
 
 def solution_to_go_on_from(options: argparse.Namespace):
     """The run in the result file that `--continue` goes on with. Raises ValueError where it cannot."""
+    from jaxshell.results.durable import in_use
     from jaxshell.results.solution import Solution
 
     if Path(options.scene).suffix not in _RESULT_FILES:
@@ -175,6 +178,8 @@ def solution_to_go_on_from(options: argparse.Namespace):
     if options.method:
         raise ValueError("--continue goes on with the method of the file: leave --method out.")
     solution = Solution.load(options.scene)
+    if in_use(options.scene):
+        raise ValueError(f"{options.scene} is in use: the run that writes it goes on.")
     if solution.state is None:
         raise ValueError(f"{options.scene} holds no state to go on from: it is of statics, or of an older version.")
     return solution
@@ -182,9 +187,14 @@ def solution_to_go_on_from(options: argparse.Namespace):
 
 def what_is_left(restart, t_end: float) -> float:
     """The rest of a run that was to go on to the time `t_end`. Raises ValueError where there is none."""
-    reached = float(restart.times[-1])
+    from jaxshell.results.restart import time_of
+
+    reached = time_of(restart.state)
     if t_end - reached <= 1e-9 * t_end:
         raise ValueError(
             f"The run has reached its end, t = {reached:.6g}: say with --t-end for how much longer it is to go on."
         )
-    return t_end - reached
+    left = t_end - reached
+    # The rest that leads to the end to the last bit: so the last step is the one that the run was to take.
+    near = (np.nextafter(left, 0.0), left, np.nextafter(left, np.inf))
+    return float(min(near, key=lambda rest: abs(reached + rest - t_end)))

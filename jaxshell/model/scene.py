@@ -226,7 +226,8 @@ def _watched(watch) -> tuple[tuple[str, int, str], ...]:
         if not isinstance(entry, list | tuple) or len(entry) != 3:
             raise ValueError(f"watch must be {{label: (node, component)}}, but an entry of it is {shown(entry)}.")
         label, node, component = entry
-        check_text("A watch label", label)
+        if not isinstance(label, str):
+            raise ValueError(f"A watch label must be text, but it is {shown(label)}.")
         if isinstance(node, bool) or not isinstance(node, int | np.integer):
             raise ValueError(f"watch {label!r} names node {shown(node)}, which is no whole number.")
         found.append((label, int(node), component))

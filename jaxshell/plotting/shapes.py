@@ -27,7 +27,7 @@ def shapes_figure(run: Solution, name: str = "") -> Figure:
     scene = run.scene
     chosen = _picture_frames(run)
     times = np.asarray(run.frame_times)[chosen]
-    displacements = np.asarray(run.displacements)[chosen]
+    displacements = np.asarray(run.frame(chosen).displacements)
     planes = symmetry_planes(scene)
     shapes = [np.asarray(scene.mesh.nodes) + u for u in displacements]
     distances = [np.linalg.norm(u, axis=1) for u in displacements]

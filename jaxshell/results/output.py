@@ -3,6 +3,7 @@
 import abc
 
 from jaxshell.model.scene import Scene
+from jaxshell.results.frames import StoredFrames
 from jaxshell.results.solution import Solution
 
 
@@ -24,6 +25,10 @@ class Output(abc.ABC):
     @abc.abstractmethod
     def finish(self, result: str, message: str, stats: dict) -> None:
         """The run has ended: the name of an item of RESULTS, its message, and the figures of the run."""
+
+    def frames(self) -> StoredFrames | None:
+        """What reads the frames back that were appended, of an output that keeps them; the run then keeps none."""
+        return None
 
     @abc.abstractmethod
     def close(self) -> None:

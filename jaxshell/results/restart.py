@@ -34,3 +34,8 @@ def _as_written_now(state: dict[str, Any]) -> dict[str, Any]:
     """Version 0.1 wrapped the state of a run with reactions: `own.` before its names, and the reactions beside it."""
     own = {name.removeprefix("own."): array for name, array in state.items() if name.startswith("own.")}
     return own or state
+
+
+def time_of(state: Any) -> float:
+    """The time at which a state is."""
+    return float(_as_written_now(named(state))["time"])

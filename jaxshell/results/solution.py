@@ -3,14 +3,10 @@
 from typing import Any
 
 import equinox as eqx
-import jax
-import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxshell.model.scene import Scene
-
-Array = jax.Array | np.ndarray
-"""NumPy's in what is on its way to a result file."""
+from jaxshell.results.frames import Array, Frames, StoredFrames
 
 
 class RESULTS(eqx.Enumeration):
@@ -68,6 +64,8 @@ class Solution(eqx.Module):
     """A run: histories at every step (k of them, the start first) and frames (f of them).
 
     Units are the scene's. `result` says whether the run ended as asked; everything computed until then is here.
+    Frames of a run with a result file are read from it when they are asked for: all of them by `displacements`,
+    `rotations` and `velocities`, some of them by `frame`.
     """
 
     scene: Scene
@@ -77,21 +75,80 @@ class Solution(eqx.Module):
     momentum: Momentum
     iterations: Int[Array, " k"]
     frame_times: Float[Array, " f"]
-    displacements: Float[Array, "f n 3"]
-    rotations: Float[Array, "f n 3 3"]
-    velocities: Float[Array, "f n 3"]
+    frames: Frames | StoredFrames
     result: RESULTS
     message: str = eqx.field(static=True)
     """For a failed run: step, time and what to try; empty otherwise."""
     stats: "Stats" = eqx.field(static=True)
     """Host-side figures: method and its parameters, wall time, steps, iterations, factorizations, solver, ..."""
-    state: Any = None
+    state: Any
     """The method's state at the end, from which `simulate(restart=...)` goes on. Of a file, a dict of its arrays."""
-    reaction: Float[Array, "k nh"] | None = None
+    reaction: Float[Array, "k nh"] | None
     """Of a run with reactions=True: what the supports carry at the held degrees of freedom [force, force·length], which
     `jaxshell.reactions` sorts by nodes."""
-    analysis: str = eqx.field(static=True, default="time")
+    analysis: str = eqx.field(static=True)
     """"time", or "static" where the times are load factors."""
+    newton: Any
+    """What Newton's iteration keeps from step to step: a run that goes on with it does so to the last bit."""
+    stable: Bool[Array, " k"] | None
+    """In statics, whether the equilibrium is stable."""
+
+    def __init__(
+        self,
+        scene,
+        times,
+        watched,
+        energy,
+        momentum,
+        iterations,
+        frame_times,
+        displacements=None,
+        rotations=None,
+        velocities=None,
+        result=RESULTS.successful,
+        message="",
+        stats=None,
+        state=None,
+        reaction=None,
+        analysis="time",
+        frames=None,
+        newton=None,
+        stable=None,
+    ):
+        given = {"displacements": displacements, "rotations": rotations, "velocities": velocities}
+        if any(value is not None for value in given.values()):
+            own = {name: getattr(frames, name) if value is None else value for name, value in given.items()}
+            frames = Frames(**own)
+        if frames is None:
+            raise TypeError("A solution needs its frames, or displacements, rotations and velocities.")
+        self.scene, self.times, self.watched = scene, times, watched
+        self.energy, self.momentum, self.iterations = energy, momentum, iterations
+        self.frame_times, self.frames = frame_times, frames
+        self.result, self.message, self.stats = result, message, Stats() if stats is None else stats
+        self.state, self.newton, self.analysis = state, newton, analysis
+        self.reaction, self.stable = reaction, stable
+
+    @property
+    def displacements(self) -> Float[Array, "f n 3"]:
+        """Displacements of all nodes in every frame."""
+        return self.frames.displacements
+
+    @property
+    def rotations(self) -> Float[Array, "f n 3 3"]:
+        """Rotation matrices of all nodes in every frame."""
+        return self.frames.rotations
+
+    @property
+    def velocities(self) -> Float[Array, "f n 3"]:
+        """Velocities of all nodes in every frame."""
+        return self.frames.velocities
+
+    def frame(self, which) -> Frames:
+        """Displacements, rotations and velocities of one frame, by its number, or of several, by a list of numbers.
+
+        Of a run with a result file nothing else is read.
+        """
+        return self.frames.at(which)
 
     @property
     def step_sizes(self) -> Float[Array, " steps"]:
@@ -99,7 +156,11 @@ class Solution(eqx.Module):
         return self.times[1:] - self.times[:-1]
 
     def save(self, path) -> None:
-        """Write the run and its scene to an HDF5 file; an existing file is replaced."""
+        """Write the run and its scene to an HDF5 file; one that holds a finished run is replaced.
+
+        Raises ValueError where the file holds a run that did not end, or something else; OSError where nothing can be
+        written.
+        """
         from jaxshell.results import hdf5 as storage  # which imports this file
 
         storage.save_solution(self, path)
