@@ -121,14 +121,15 @@ class _Step(NamedTuple):
 
     def two_solutions(self, free, last, increment, residual):
         """δu_r and δu_q at the iterate `free`, reached from `last`; each as free degrees of freedom."""
-        model, linear = self.model, self.plan.solvers.linear
+        model = self.model
+        linear = self.plan.solvers.linear._replace(units=model.units)
         begun = _STATIC.begin(model, self.state, increment)
         held = increment * self.held_rate
         u, before = model.expand(free, held), model.expand(last, jnp.where(jnp.any(last != 0), held, 0.0))
         matrix = _STATIC.tangent(model, self.state, begun, u, before, self.plan.solvers.tangent)
         _, rate = jax.jvp(lambda t: model.free(self.balance(free, t).residual), (increment,), (jnp.ones(()),))
-        by_load, factorization = linear.solver.factor_and_solve(linear.handle, matrix, -rate)
-        by_residual = linear.solver.solve(linear.handle, factorization, matrix, -residual)
+        by_load, factorization, factored = linear.factor_and_solve(matrix, -rate)
+        by_residual = linear.solve(factorization, factored, -residual)
         return by_residual, by_load
 
 

@@ -173,9 +173,7 @@ def _vibration_matrices(scene: Scene, tables: Tables, state, time):
     following = model.following_stiffness(*placed, time)
     M = jax.vmap(mass_matrix)(R, model.elements)
     elements = model.elements
-    # Plate rigidity D ~ the bending stiffness, an entry [force·length], of an element with like sides.
-    rigidity = jnp.mean(jnp.trace(elements.K_bending, axis1=1, axis2=2)) / 6.0
-    shift = rigidity / (jnp.mean(elements.mass_per_area) * model.size**4)
+    shift = model.bending_scale / (jnp.mean(elements.mass_per_area) * model.size**4)
     return model.assemble_matrix(K, following), model.assemble_matrix(M), model.units, shift
 
 

@@ -77,6 +77,24 @@ class Model(eqx.Module):
         size = jnp.linalg.norm(jnp.max(x0, axis=0) - jnp.min(x0, axis=0))
         return cls(x0, elements, dead, _acting(scene, tables, surface), moving, size, tables)
 
+    @property
+    def units(self) -> Float[Array, " nf"]:
+        """In what the free degrees of freedom are measured where equations are solved: the diagonal S in S K S.
+
+        Displacements in the shell's size and rotations in radians, both times the root of one over its bending
+        stiffness, so that S K S has no unit and its entries are near 1 (a pivot below 1e-13 is zero to Pardiso). Powers
+        of two, so that a change of units is exact; constants for derivatives.
+        """
+        size, stiffness = jax.lax.stop_gradient((self.size, self.bending_scale))
+        root = jnp.ldexp(1.0, -jnp.frexp(stiffness)[1] // 2)
+        length = jnp.ldexp(1.0, jnp.frexp(size)[1])
+        return root * jnp.where(self.tables.free % 6 < 3, length, 1.0)
+
+    @property
+    def bending_scale(self) -> Float[Array, ""]:
+        """The shell's plate rigidity D, about: the bending stiffness of an element with like sides [force·length]."""
+        return jnp.mean(jnp.trace(self.elements.K_bending, axis1=1, axis2=2)) / 6.0
+
     def gather(self, nodal):
         """(n, ...) nodal values → (m, 3, ...) at the elements' corners; for every leaf of a pytree."""
         return jax.tree.map(lambda values: values[self.tables.triangles], nodal)

@@ -290,6 +290,7 @@ class ImplicitMethod(Method):
 
     def step(self, model, state, dt, solvers, memory):
         # The iteration is outside differentiation; its result then gets the derivative of the equations solved.
+        solvers = solvers._replace(linear=solvers.linear._replace(units=model.units))
         fixed = jax.lax.stop_gradient((self, model, state, dt))
         solved, memory = one_by_one(_converge, memory, *fixed, solvers)
         solved = keep(solved)

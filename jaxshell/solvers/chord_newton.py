@@ -135,13 +135,11 @@ def _correction(problem: Problem, measure: Measure, linear: Linear, c: _Carry, r
     """The correction for the residual r, and the memory with what was factored for it."""
 
     def anew():
-        values = problem.matrix(c.free, c.last)
-        step, factorization = linear.solver.factor_and_solve(linear.handle, values, -r)
-        return step, factorization, values
+        return linear.factor_and_solve(problem.matrix(c.free, c.last), -r)
 
     def again():
         kept = c.memory
-        step = linear.solver.solve(linear.handle, kept.factorization, kept.values, -r)
+        step = linear.solve(kept.factorization, kept.values, -r)
         return step, kept.factorization, kept.values
 
     step, factorization, values = lax.cond(c.memory.stale, anew, again)

@@ -47,7 +47,7 @@ def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, m
     by_norm = newton.criterion == "norm"
 
     def advance(c: _Carry, r, error) -> _Carry:
-        step, _ = linear.solver.factor_and_solve(linear.handle, problem.matrix(c.free, c.last), -r)
+        step, *_ = linear.factor_and_solve(problem.matrix(c.free, c.last), -r)
         found = measure.correction(step, c.correction)
         if by_norm:
             enough = jnp.linalg.norm(step) <= newton.tolerance

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxshell.numerics.checks import Real
-from jaxshell.solvers.linear_solver import Handle, LinearSolver
+from jaxshell.solvers.linear_solver import Handle, LinearSolver, linear_solve, scaled
 
 SUCCESSFUL, DIVERGED, STAGNATED, SINGULAR, STEP_TOO_SMALL, UNSTABLE = (np.int32(k) for k in range(6))
 """Result codes inside compiled programs, in the order of `jaxshell.RESULTS`."""
@@ -38,10 +38,37 @@ class Problem(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """A linear solver and its prepared pattern."""
+    """A linear solver, its prepared pattern, and the units in which it sees the unknowns.
+
+    Matrices, right-hand sides and solutions are the user's; the solver gets S K S and S b, in which forces and moments,
+    displacements and rotations are of like size, so that no pivot depends on the user's units.
+    """
 
     solver: LinearSolver
     handle: Handle
+    units: Float[Array, " nf"] | None = None
+    """The diagonal of S, `Model.units`; None where matrices are to be taken as they are."""
+
+    def factor_and_solve(self, values, rhs):
+        """(K⁻¹ rhs, factorization, the matrix that was factored: `values` in these units)."""
+        values = self._scaled(values)
+        x, factorization = self.solver.factor_and_solve(self.handle, values, self._times_units(rhs))
+        return self._times_units(x), factorization, values
+
+    def solve(self, factorization, factored, rhs) -> Float[Array, " nf"]:
+        """K⁻¹ rhs, from the factorization and the matrix factored of `factor_and_solve`."""
+        return self._times_units(self.solver.solve(self.handle, factorization, factored, self._times_units(rhs)))
+
+    def solve_once(self, values, rhs) -> Float[Array, " nf"]:
+        """K⁻¹ rhs, differentiable to every order; see `linear_solve`."""
+        x = linear_solve(self.solver, self.handle, self._scaled(values), self._times_units(rhs))
+        return self._times_units(x)
+
+    def _scaled(self, values):
+        return values if self.units is None else scaled(values, self.handle.rows, self.handle.indices, self.units)
+
+    def _times_units(self, vector):
+        return vector if self.units is None else self.units * vector
 
     def memory(self, newton) -> "Memory":
         """Memory before the first step of a run with the settings `newton`."""

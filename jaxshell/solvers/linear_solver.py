@@ -264,6 +264,11 @@ def multiply(handle: Handle, values: Float[Array, " m"], x: Float[Array, " n"]) 
     )
 
 
+def scaled(values: Float[Array, " m"], rows, columns, units: Float[Array, " n"]) -> Float[Array, " m"]:
+    """S K S for the diagonal S of `units`: exact where they are powers of two."""
+    return units[rows] * values * units[columns]
+
+
 def linear_solve(
     solver: LinearSolver, handle: Handle, values: Float[Array, " m"], rhs: Float[Array, " n"]
 ) -> Float[Array, " n"]:

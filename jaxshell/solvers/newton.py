@@ -15,7 +15,6 @@ from jax.custom_derivatives import SymbolicZero
 from jaxshell.numerics.checks import Real, check_choice, check_count, check_positive_number, check_switch
 from jaxshell.solvers import chord_newton, full_newton
 from jaxshell.solvers.iteration import Linear, Measure, Memory, Problem
-from jaxshell.solvers.linear_solver import linear_solve
 
 
 class Newton(eqx.Module):
@@ -86,6 +85,6 @@ def attach_derivative(linear: Linear, residual: Callable, tangent: Callable, fre
 
         _, change = jax.jvp(unbalanced, (moving,), (eqx.filter(tangents[1], moves),))
         linear, parameters = eqx.combine(arrays, static)
-        return free, -linear_solve(linear.solver, linear.handle, tangent(free, parameters), change)
+        return free, -linear.solve_once(tangent(free, parameters), change)
 
     return solution(free, arrays)
