@@ -22,6 +22,7 @@ from jaxshell.analyses import program
 from jaxshell.analyses.driver import Setup, SimulationError, check_options, is_traced, result_of, set_up
 from jaxshell.analyses.program import Plan
 from jaxshell.analyses.progress import Progress
+from jaxshell.analyses.stability import critical
 from jaxshell.analyses.statics import DEFAULT_NEWTON, StaticLog, proportional
 from jaxshell.assembly.discretised import Model
 from jaxshell.methods.static import Static, StaticState
@@ -75,7 +76,8 @@ def solve_arc_length(
         max_load_factor: the path ends with the first step at or beyond this load factor, in size.
         tangent, newton, linear_solver, save_every, throw, progress, output: as in `solve_static`.
 
-    Returns a `Solution` whose times are the load factors along the path, so they may fall. Raises
+    Returns a `Solution` whose times are the load factors along the path, so they may fall; its stats say which of
+    its equilibria are stable under a given load (`stable`) and where stability was lost (`stability_lost`). Raises
     ValueError for bad input, for a mechanism, and when it is traced by `jax.grad` and the like, before
     anything is compiled.
     """
@@ -198,9 +200,11 @@ def _advance(model: Model, plan: Plan, state: StaticState, previous, length):
     )
     result = jnp.where(end.done, end.result, STAGNATED)
     begun, u = _STATIC.begin(model, state, end.increment), step.increments(end.free, end.increment)
+    before = state
     state = _STATIC.finish(model, state, end.increment, u, _STATIC.motion(state, u), begun)
     record = program.record(model, plan, state, None, end.iterations, end.iterations, jnp.array(True))
-    return state, u[:, :3], result, record, program.frame(model, state)
+    weakest, _ = critical(model, plan.solvers, before, state, None)
+    return state, u[:, :3], result, record, program.frame(model, state), weakest
 
 
 def _driven(setup: Setup, arc_length, steps, max_load_factor, output, bar) -> Solution:
@@ -213,12 +217,13 @@ def _driven(setup: Setup, arc_length, steps, max_load_factor, output, bar) -> So
         log.start(record, frame)
         for position in range(steps):
             found, spent, length = _shortened(model, setup.plan, state, previous, length, longest, position == 0)
-            new, moved, code, record, frame = found
+            new, moved, code, record, frame, weakest = found
             code = int(code)
             if code != SUCCESSFUL:
                 message = _message(code, position, float(state.time), length)
                 break
             state, previous = new, moved
+            log.path.sees(float(state.time), weakest)
             over = abs(float(state.time)) >= max_load_factor
             log.step(record, frame, spent, last=over or position == steps - 1)
             bar.advance(log.records[-1])
@@ -244,7 +249,7 @@ def _shortened(model: Model, plan: Plan, state: StaticState, previous, length, l
     spent = np.zeros(2, int)
     while True:
         found = _advance(model, plan, state, previous, jnp.asarray(length))
-        _, moved, code, record, _ = found
+        _, moved, code, record, *_ = found
         spent += int(record.iterations)
         if length / 2 < longest / 2**_CUTS:
             return found, spent, length

@@ -6,6 +6,7 @@ given load factors are taken as they are, in one program, and differentiated by 
 theorem.
 """
 
+import warnings
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxshell.analyses import program
+from jaxshell.analyses.branches import descent, load_step
 from jaxshell.analyses.driver import (
     Log,
     Setup,
@@ -28,8 +29,9 @@ from jaxshell.analyses.driver import (
     set_up,
     single,
 )
-from jaxshell.analyses.program import Plan
+from jaxshell.analyses.program import Carry, Plan
 from jaxshell.analyses.progress import Progress
+from jaxshell.analyses.stability import Path
 from jaxshell.assembly.discretised import Model, structure_of
 from jaxshell.assembly.tables import Tables, analyse
 from jaxshell.gradients import Stored
@@ -48,6 +50,12 @@ DEFAULT_NEWTON = Newton(tolerance=1e-12, reuse=False)
 """Tighter than in dynamics, so that loads and reactions are in balance to 1e-9."""
 _CUTS = 10
 """A load step is halved at most this many times."""
+
+
+LOST = (
+    "The equilibrium is unstable from about load factor {:.4g} on, where a real structure buckles or snaps. "
+    'branch="follow" goes on along the stable path.'
+)
 
 
 class LoadFactor(History):
@@ -79,6 +87,7 @@ def solve_static(
     tangent: str = "closed_form",
     newton: Newton | None = None,
     linear_solver: LinearSolver | None = None,
+    branch: str = "straight",
     save_every: int = 1,
     throw: bool = True,
     progress: bool = False,
@@ -98,6 +107,11 @@ def solve_static(
             small enough: see `solve_arc_length`.
         tangent: "closed_form" or "autodiff"; the same answer.
         newton, linear_solver, progress, output: as in `simulate`.
+        branch: what is done where the equilibrium becomes unstable, as at a column's buckling load. "straight" goes on
+            along the unstable path and warns. "follow" moves the shell by 1e-3 of its size along its critical motion,
+            and lets it sink from there, at the same load factor, to an equilibrium that is stable: the branch behind
+            the bifurcation, or where a snap ends. Of the motion's two senses it takes the one in which the first
+            displacement (in the order of nodes, then x, y, z) that is within a tenth of the largest is positive.
         save_every: load factors between frames.
         throw: raise `SimulationError` when a load factor is not reached (it carries the solution so far);
             otherwise the solution's `result` and `message` say so.
@@ -105,16 +119,21 @@ def solve_static(
     Returns a `Solution` whose times are the load factors (the first entry, 0, is the start); after a failure
     the last entry is the largest part of the failed step that was reached. `iterations` counts all that were
     spent on the way to a load factor. Kinetic energy and momenta are zero. Under `jax.grad` and the like no
-    step is halved.
+    step is halved. The stats say which of the entries are stable equilibria (`stable`), at which load factors stability
+    was lost (`stability_lost`, interpolated), and at which a branch was followed (`branched`).
 
     Raises ValueError for bad input and for a mechanism, which it names, before anything is compiled.
     """
     require_float64()
     newton = DEFAULT_NEWTON if newton is None else newton
     check_options(scene, Static(), save_every, tangent, newton)
+    if branch not in ("straight", "follow"):
+        raise ValueError(f'branch must be "straight" or "follow", but it is {branch!r}.')
     factors = _load_factors(load_factors)
     check_supported(scene)
     traced = is_traced(scene, newton, factors)
+    if traced and branch == "follow":
+        raise ValueError('branch="follow" chooses its steps as it goes and cannot be traced by jax.grad and the like.')
     setup = set_up(
         scene,
         Static(),
@@ -131,19 +150,13 @@ def solve_static(
         solution = run_traced(loaded, steps, Stored(), throw, analysis="static")
         return eqx.tree_at(lambda s: s.scene, solution, scene)
     with Progress(float(factors[-1]), enabled=progress) as bar:
-        solution = _driven(setup, factors, output, bar)
+        solution = _driven(setup, factors, branch, output, bar)
+    lost = solution.stats["stability_lost"]
+    if lost and branch == "straight":
+        warnings.warn(LOST.format(lost[0]), stacklevel=2)
     if throw and solution.message:
         raise SimulationError(solution.message, solution)
     return solution
-
-
-@compiled
-def _advance(model: Model, plan: Plan, state: StaticState, memory, step, end):
-    """One load step of size `step` to the load factor `end`: state, memory, result, record and frame."""
-    state, info, memory = plan.method.step(model, state, step, plan.solvers, memory)
-    state = eqx.tree_at(lambda s: s.time, state, end)
-    record = program.record(model, plan, state, None, info.iterations, info.factorizations, jnp.array(True))
-    return state, memory, info.result, record, program.frame(model, state)
 
 
 class _Reached(NamedTuple):
@@ -157,7 +170,7 @@ class _Reached(NamedTuple):
     code: int
 
 
-def _driven(setup: Setup, factors, output, bar) -> Solution:
+def _driven(setup: Setup, factors, branch: str, output, bar) -> Solution:
     log = StaticLog(setup, output)
     model, carry, record, frame = setup.prepare(proportional(setup.scene))
     now = _Reached(carry.state, carry.memory, 0.0, np.inf, int(SUCCESSFUL))
@@ -165,21 +178,22 @@ def _driven(setup: Setup, factors, output, bar) -> Solution:
     with log:
         log.start(record, frame)
         for position, target in enumerate(factors):
-            now, found, spent = _reach(model, setup.plan, now, target)
+            now, found = _reach(model, setup.plan, now, target, branch == "follow", log.path)
             failed = now.code != SUCCESSFUL
             if found is not None:
-                log.step(*found, spent, last=failed or position == len(factors) - 1)
+                log.step(found.record, found.frame, found.spent, last=failed or position == len(factors) - 1)
                 bar.advance(log.records[-1])
             if failed:
-                message = _message(now.code, now.at, target)
+                message = _message(now.code, now.at, target, log.path, branch)
                 break
         return log.finish(now.state, now.code, message)
 
 
-def _reach(model: Model, plan: Plan, now: _Reached, target):
+def _reach(model: Model, plan: Plan, now: _Reached, target, follow: bool, path: Path):
     """Go to the load factor `target`, halving steps that fail and letting them grow back.
 
-    Returns (where that led, the last step's record and frame if there was one, iterations and factorizations).
+    With `follow` from equilibria that are not stable on to those that are. `path` is told of all that are kept. Returns
+    (where that led, the last step if there was one, with the cost of all).
     """
     state, memory, at, size, code = now
     smallest = abs(target - at) / 2**_CUTS
@@ -189,16 +203,21 @@ def _reach(model: Model, plan: Plan, now: _Reached, target):
         # All of the rest where only round-off keeps it from fitting: no sliver of a step is left.
         whole = abs(rest) <= size * (1 + 1e-6)
         step, end = (rest, target) if whole else (np.copysign(size, rest), at + np.copysign(size, rest))
-        new, memory, code, record, frame = _advance(model, plan, state, memory, jnp.asarray(step), jnp.asarray(end))
-        code = int(code)
-        spent += int(record.iterations), int(record.factorizations)
+        new = load_step(model, plan, state, memory, step, end)
+        if follow and new.code == SUCCESSFUL and not float(new.weakest.quotient) > 0:
+            lost = path.zero(end, new.weakest)
+            new = descent(model, plan, new)
+            if new.code == SUCCESSFUL:
+                path.branched.append(lost)
+        code, memory, spent = new.code, new.memory, spent + new.spent
         if code == SUCCESSFUL:
-            state, at, size, found = new, float(end), max(size, 2 * abs(step)), (record, frame)
+            state, at, size, found = new.state, float(end), max(size, 2 * abs(step)), new
+            path.sees(at, new.weakest)
         elif abs(step) / 2 < smallest:
             break
         else:
             size = abs(step) / 2
-    return _Reached(state, memory, at, size, code), found, spent
+    return _Reached(state, memory, at, size, code), None if found is None else found._replace(spent=spent)
 
 
 class StaticLog(Log):
@@ -206,6 +225,8 @@ class StaticLog(Log):
 
     def __init__(self, setup: Setup, output):
         super().__init__(setup.scene, setup.plan, output, analysis="static")
+        self.path = Path()
+        self.stable = [True]
 
     def start(self, record, frame) -> None:
         """The start of the path."""
@@ -215,7 +236,13 @@ class StaticLog(Log):
         """A finished step that cost `spent` = (iterations, factorizations); `last` always keeps its frame."""
         record = record._replace(iterations=np.asarray(spent[0]), factorizations=np.asarray(spent[1]))
         keep = last or (self.steps + 1) % self.plan.save_every == 0
+        self.stable.append(self.path.stable)
         self.append(single(record), jax.tree.map(lambda a: a if keep else a[:0], single(frame)))
+
+    def finish(self, state, code: int, message: str, **figures) -> Solution:
+        """As every log, with what the path knows of stability in the stats."""
+        carry = Carry(state, None, jnp.asarray(code))
+        return super().finish(carry, code, message, stable=tuple(self.stable), **self.path.figures(), **figures)
 
 
 def reactions(solution: Solution) -> Float[Array, "*k n 6"]:
@@ -268,9 +295,8 @@ def _load_factors(values):
     return values
 
 
-def _message(code: int, at: float, target: float) -> str:
+def _message(code: int, at: float, target: float, path: Path, branch: str) -> str:
     return (
         f"Equilibrium was followed to load factor {at:.6g} and not found between it and {target:.6g}, with "
-        f"steps halved {_CUTS} times. Past a limit point only solve_arc_length can go on. "
-        f"The last attempt: {RESULTS[result_of(code)]}"
+        f"steps halved {_CUTS} times. {path.advice(branch)} The last attempt: {RESULTS[result_of(code)]}"
     )

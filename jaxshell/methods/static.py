@@ -28,6 +28,7 @@ from jaxshell.elements.corotational import Element
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import State
+from jaxshell.numerics.checks import Real
 
 
 class StaticState(State):
@@ -54,6 +55,8 @@ class ElementData(NamedTuple):
     """Corners of the reference shape, seen from node 1."""
     excess: Float[Array, "12"] | None = None
     """Stresses added to those of the deformations, in the tangent of a mixed iteration only."""
+    damping: Float[Array, "18 18"] | None = None
+    """Resists the increments of the step: see `Relaxing`."""
 
 
 class Static(ImplicitMethod):
@@ -63,13 +66,16 @@ class Static(ImplicitMethod):
         x = _corners(motion.x, data.edges)
         kin = corotational.kinematics(x, motion.R, data.element)
         force = corotational.to_global(corotational.local_forces(kin, _stresses(kin, data)), kin)
+        if data.damping is not None:
+            force = force + data.damping @ u.reshape(-1)
         return Forces(force, jnp.zeros_like(force))
 
     def element_tangent(self, motion, u, data: ElementData, step) -> Float[Array, "18 18"]:
         x = _corners(motion.x, data.edges)
         kin = corotational.kinematics(x, motion.R, data.element)
         f = _stresses(kin, data)
-        return corotational.stiffness(kin, f, data.element, motion.spin)
+        K = corotational.stiffness(kin, f, data.element, motion.spin)
+        return K if data.damping is None else K + data.damping
 
     def mixed_matrices(self, model: Model, state, begun, u, last, tangent: str) -> Float[Array, "m 18 18"]:
         def excess(u, last, d, R, data: ElementData):
@@ -134,6 +140,28 @@ class Static(ImplicitMethod):
         zero = jnp.zeros(())
         strain = model.strain_energy(model.x0 + state.d, state.R)
         return Observation(zero, strain, state.external_work, zero, jnp.zeros(3), jnp.zeros(3))
+
+
+class Relaxing(Static):
+    """One step of a shell without mass that sinks to a lower potential energy at a constant load factor.
+
+    f_int(x, R) - λ f_ext + s K₀ u = 0 for the increments u of the step, with the material stiffness K₀ at its start:
+    backward Euler for the viscous flow s K₀ u̇ = -r. It ends in an equilibrium that is stable, however far. A motion φ
+    with K φ = μ K₀ φ grows by s/(s + μ) a step, if s is above -μ.
+    """
+
+    viscosity: Real
+    """s, without a unit."""
+
+    def begin(self, model: Model, state: StaticState, dt):
+        begun = super().begin(model, state, dt)
+
+        def damping(d, R, data: ElementData):
+            kin = corotational.kinematics(_corners(d, data.edges), R, data.element)
+            return self.viscosity * corotational.stiffness(kin, jnp.zeros(12), data.element, None, geometric=0.0)
+
+        d, R = model.gather((state.d, state.R))
+        return begun._replace(data=begun.data._replace(damping=jax.vmap(damping)(d, R, begun.data)))
 
 
 def _stresses(kin: corotational.Kinematics, data: ElementData) -> Float[Array, "12"]:

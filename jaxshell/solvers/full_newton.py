@@ -1,7 +1,8 @@
 """Full Newton: every iteration assembles and factors its own tangent, and converges quadratically."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
@@ -34,6 +35,8 @@ class _Carry(NamedTuple):
     error: Float[Array, ""]
     """The residual that the last correction started from, relative."""
     huge: Bool[Array, ""]
+    factorization: Any
+    """Of the last correction's matrix."""
 
 
 def predicted_to_converge(found: Correction, tolerance) -> Bool[Array, ""]:
@@ -43,11 +46,11 @@ def predicted_to_converge(found: Correction, tolerance) -> Bool[Array, ""]:
 
 
 def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, memory: Memory):
-    """Iterate from `guess` (nf,) with the settings `newton`: (Solved, `memory` as it was)."""
+    """Iterate from `guess` (nf,) with the settings `newton`: (Solved, `memory` with the last factorization)."""
     by_norm = newton.criterion == "norm"
 
     def advance(c: _Carry, r, error) -> _Carry:
-        step, *_ = linear.factor_and_solve(problem.matrix(c.free, c.last), -r)
+        step, factorization, _ = linear.factor_and_solve(problem.matrix(c.free, c.last), -r)
         found = measure.correction(step, c.correction)
         if by_norm:
             enough = jnp.linalg.norm(step) <= newton.tolerance
@@ -63,6 +66,7 @@ def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, m
             correction=jnp.where(bad, jnp.inf, found.measured),
             error=error,
             huge=found.huge,
+            factorization=factorization,
         )
 
     def body(c: _Carry) -> _Carry:
@@ -84,7 +88,9 @@ def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, m
         correction=jnp.array(jnp.inf),
         error=jnp.array(0.0),
         huge=jnp.array(False),
+        factorization=memory.factorization,
     )
     end = lax.while_loop(lambda c: ~c.done & (c.iterations < newton.max_iterations), body, start)
     result = jnp.where(end.done, end.result, STAGNATED)
+    memory = eqx.tree_at(lambda m: m.factorization, memory, end.factorization)
     return Solved(end.free, result, end.iterations, end.iterations, end.correction), memory
