@@ -238,7 +238,7 @@ def first_edge() -> str:
         for mesh in meshes:
             scene, found = scene_of(mesh), []
             for shift in range(3):
-                turned = js.Mesh(scene.mesh.nodes, np.roll(scene.mesh.triangles, -shift, axis=1))
+                turned = js.Mesh(scene.mesh.nodes, np.roll(scene.mesh.triangles, -shift, axis=1), coincident="allow")
                 watch = {label: (node, component) for label, node, component in scene.watch}
                 run = js.solve_static(
                     js.Scene(turned, scene.section, scene.supports, scene.loads, watch=watch), factors

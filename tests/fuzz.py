@@ -11,6 +11,7 @@ compile.
 import argparse
 import collections
 import contextlib
+import io
 import math
 import signal
 import sys
@@ -261,8 +262,10 @@ def try_mesh_file(random: Random, folder: Path) -> tuple[str, list[str]]:
     )  # fmt: skip
     good = folder / f"good{suffix}"
     data = b""
+    silence = contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO())
     try:
-        meshio.write(good, meshio.Mesh(points, {kind: np.array(cell) for kind, cell in cells.items()}))
+        with silence[0], silence[1]:
+            meshio.write(good, meshio.Mesh(points, {kind: np.array(cell) for kind, cell in cells.items()}))
         data = good.read_bytes()
     except (Exception, SystemExit):  # meshio does not write all of it in all formats
         data = b"solid x\n" if random.random() < 0.5 else b""
@@ -351,7 +354,7 @@ ALIASES = {
     "values": ("history",), "magnitude": ("normal force",), "supports": ("support",), "loads": ("load",), "normal": ("normal",),
     "top": ("angles",), "bottom": ("angles",), "initial": ("initial",), "smallest": ("initial",), "largest": ("initial",),
     "path": ("mesh file", "file", "is no"), "beta": ("beta",), "gamma": ("beta",), "velocities": ("initial",), "merge": ("tolerance",),
-    "tolerance": ("merging",), "dt": ("stepcontrol", "step"),
+    "tolerance": ("merging",), "dt": ("stepcontrol", "step", "t_end"),
 }  # fmt: skip
 
 

@@ -45,6 +45,14 @@ def test_files(cap, tmp_path):
         assert np.ptp(image[..., :3]) == 1
 
 
+def test_dollar_signs_in_names_begin_no_formula(tmp_path):
+    scene = dataclasses.replace(plain_scene(), watch={"cost in $": (0, "uz"), "a$b_{": (1, "ux")}, name="$x_")
+    run = synthetic_solution(scene)
+    drawn = figures({"$EMC": run, "b$_c$": run})
+    assert drawn["displacement"].axes[0].get_ylabel() == r"cost in \$, $u_z$"
+    assert len(plot({"$EMC": run, "b$_c$": run}, tmp_path, "money")) == len(drawn)
+
+
 def test_deflection_is_drawn_as_the_scene_says(cap):
     run = synthetic_solution(cap)
     panel = figures({"EMC": run, "EDMC1": run})["displacement"].axes[0]

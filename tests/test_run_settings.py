@@ -8,6 +8,7 @@ jax.config.update("jax_enable_x64", True)
 import jaxshell as js  # noqa: E402
 from jaxshell.analyses import simulation  # noqa: E402
 from jaxshell.command.cli import main  # noqa: E402
+from jaxshell.files.quoted import file_part  # noqa: E402
 from jaxshell.files.run_keys import KEYS, RunSettings  # noqa: E402
 from jaxshell.results.hdf5 import read_settings  # noqa: E402
 
@@ -209,6 +210,32 @@ def test_what_a_key_cannot_be(line, message, tmp_path, capsys):
     (tmp_path / "wrong.toml").write_text(f"{SCENE}[run]\n{line}\n")
     assert main(["run", str(tmp_path / "wrong.toml"), "--quiet"]) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("dt = 1e-12\nt_end = 1.0", "t_end = 1 with dt = 1e-12 asks for 1e+12 steps, and at most 1e+08 are taken"),
+        ("dt = 0.1\nt_end = 1e308", "t_end must be at most 1e+100 in size, but it is 1e+308"),
+        ("dt = 0.1\nt_end = 5e-324", "t_end must be at least 1e-100, but it is 5e-324"),
+        ('dt = 0.1\nt_end = 1.0\nmethod = "rk4"', "There is no method 'rk4'"),
+    ],
+)
+def test_runs_beyond_reason(line, message, tmp_path, capsys):
+    (tmp_path / "wrong.toml").write_text(f"{SCENE}[run]\n{line}\n")
+    assert main(["run", str(tmp_path / "wrong.toml"), "--quiet", "--no-plots", "--output", str(tmp_path)]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [("spherical_cap", "spherical_cap"), ("../../x", "_.._x"), ("/etc/passwd", "_etc_passwd"), (".hidden", "hidden"),
+     ("", "scene"), ("..", "scene"), ("a\0b\n", "a_b_"), ("C:\\x", "C__x"), ("ξ = 1", "ξ___1"), ("é" * 300, "é" * 50)],
+)  # fmt: skip
+def test_any_text_as_a_part_of_a_files_name(text, part, tmp_path):
+    assert file_part(text) == part
+    assert (tmp_path / part).parent == tmp_path
+    (tmp_path / part).write_text("x")
 
 
 def test_keys_of_step_control_need_it(tmp_path, capsys):
