@@ -81,7 +81,7 @@ def coincident_nodes(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     repeated = np.flatnonzero(partner != np.arange(len(nodes)))
     found = [np.stack([repeated, partner[repeated]], 1)]
     if len(points) > 1:
-        distance, nearest = KDTree(points).query(points, k=2)
+        distance, nearest = map(np.asarray, KDTree(points).query(points, k=2))
         other = first[nearest[:, 1]]
         near = (distance[:, 1] <= COINCIDENT * shortest_edges(nodes, triangles)[first]) & (other < first)
         found.append(np.stack([first[near], other[near]], 1))
@@ -114,7 +114,7 @@ def _leaders(nodes: np.ndarray, tolerance: float) -> np.ndarray:
     """(n,) the node that each becomes one with, in one round: at least half of those that have a partner go."""
     number, points = _same_points(nodes)
     if len(points) == len(nodes) > 1:
-        distance, nearest = KDTree(nodes).query(nodes, k=2)
+        distance, nearest = map(np.asarray, KDTree(nodes).query(nodes, k=2))
         near = np.flatnonzero(distance[:, 1] <= tolerance)
         links = coo_matrix((np.ones(len(near), np.int8), (near, nearest[near, 1])), (len(nodes), len(nodes)))
         number = connected_components(links, directed=False)[1]
