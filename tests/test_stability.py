@@ -1,5 +1,6 @@
 """Stable and unstable equilibria, where stability is lost, and the way to the stable branch."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -83,10 +84,13 @@ def test_followed_column_is_the_elastica():
 
 
 def test_branch_is_named_and_not_traced():
+    def pushed(force):
+        return eqx.tree_at(lambda scene: scene.loads[0].force, column(), jnp.array([force, 0.0, 0.0]))
+
     with pytest.raises(ValueError, match="branch must be"):
         js.solve_static(column(), branch="left")
     with pytest.raises(ValueError, match="cannot be traced"):
-        jax.grad(lambda f: js.solve_static(column(), jnp.array([f]), branch="follow").watched["side"][-1])(0.5)
+        jax.grad(lambda force: js.solve_static(pushed(force), branch="follow").watched["side"][-1])(-1.0)
 
 
 def plate(cells=6, over=1.5):
