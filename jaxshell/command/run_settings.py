@@ -9,8 +9,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from jaxshell.files.run_keys import METHOD_KEYS, STEP_KEYS, RunSettings
 
 _RESULT_FILES = (".h5", ".hdf5")
@@ -196,5 +194,5 @@ def what_is_left(restart, t_end: float) -> float:
         )
     left = t_end - reached
     # The rest that leads to the end to the last bit: so the last step is the one that the run was to take.
-    near = (np.nextafter(left, 0.0), left, np.nextafter(left, np.inf))
+    near = (math.nextafter(left, 0.0), left, math.nextafter(left, math.inf))
     return float(min(near, key=lambda rest: abs(reached + rest - t_end)))
