@@ -32,7 +32,7 @@ _FADING, _STIFFENING = 0.1, 4.0
 """... down to this part of it at once, and grows by so much where a step fails, ..."""
 _ENDS, _MOST = 1e-4, 1e4
 """... until a step moves the shell by less than this part of its size (or so many radians), or it is above this."""
-_STEPS = 60
+_STEPS = 200
 """So many viscous steps at most lead from an equilibrium to the next."""
 
 
