@@ -1,10 +1,13 @@
 """The command `jaxshell`: runs, reruns, plots, lists; failures and bad input end without a traceback."""
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -98,26 +101,17 @@ def test_rerun_of_a_result_file_gives_the_same(finished):
 def test_a_run_goes_on_from_its_file(method, finished, tmp_path):
     """In two halves the run that one makes in one go, by every kind of state."""
     dt = ["--dt", "1e-4", "--t-end"] if method == "centraldifference" else ["--t-end"]
-    run = [
-        "run",
-        str(finished / "strip.toml"),
-        "--method",
-        method,
-        "--no-plots",
-        "--quiet",
-        "--newton-tolerance",
-        "1e-12",
-    ]
+    run = ["run", str(finished / "strip.toml"), "--method", method, "--no-plots", "--quiet"]
     assert main([*run, *dt, "0.2", "--output", str(tmp_path / "whole")]) == 0
     assert main([*run, *dt, "0.1", "--output", str(tmp_path)]) == 0
     go_on = ["run", str(tmp_path / "strip.h5"), "--continue", "--no-plots", "--quiet", "--output", str(tmp_path)]
     assert main([*go_on, "--t-end", "0.1"]) == 0
     whole, rest = (Solution.load(tmp_path / name) for name in ("whole/strip.h5", "strip_continued.h5"))
     half = len(whole.times) // 2
-    np.testing.assert_allclose(rest.times, whole.times[half:], rtol=1e-12)
-    size = float(np.abs(whole.watched["corner"]).max())
-    np.testing.assert_allclose(rest.watched["corner"], whole.watched["corner"][half:], rtol=0, atol=1e-10 * size)
-    np.testing.assert_allclose(rest.energy.total, whole.energy.total[half:], rtol=1e-9)
+    for name in ("times", "watched", "energy", "momentum"):  # to the last bit, with what Newton keeps
+        one, other = (jax.tree.map(np.asarray, getattr(run, name)) for run in (rest, whole))
+        assert eqx.tree_equal(one, jax.tree.map(lambda a: a[half:], other)), name
+    assert np.array_equal(rest.frame(-1).displacements, whole.frame(-1).displacements)
     assert rest.stats["method"] == whole.stats["method"] and rest.stats["newton"] == whole.stats["newton"]
 
 
@@ -134,14 +128,15 @@ def test_a_run_that_was_stopped_goes_on_to_its_end(finished, tmp_path, capsys, m
 
     with monkeypatch.context() as patch:
         patch.setattr(ResultWriter, "append", stopped)
+        patch.setattr("jaxshell.analyses.simulation._CHUNK_STEPS", 10)
         run = ["run", str(finished / "strip.toml"), "--t-end", "0.9", "--output", str(tmp_path)]
         assert main([*run, "--no-plots", "--quiet"]) == 130
     path = tmp_path / "strip.h5"
     assert f"`jaxshell run {path} --continue` goes on with it." in capsys.readouterr().err
-    assert np.isclose(Solution.load(path).times[-1], 0.5)
+    assert 0.45 < Solution.load(path).times[-1] < 0.6
     assert main(["run", str(path), "--continue", "--output", str(tmp_path), "--quiet"]) == 0
     times = np.asarray(Solution.load(tmp_path / "strip_continued.h5").times)
-    assert np.isclose(times[0], 0.5) and np.isclose(times[-1], 0.9)
+    assert 0.45 < times[0] < 0.6 and np.isclose(times[-1], 0.9)
     for arguments, message in (
         ([str(tmp_path / "strip_continued.h5")], "The run has reached its end, t = 0.9: say with --t-end for how"),
         (["cap"], "--continue goes on from a result file (.h5), but the scene is 'cap'."),
@@ -151,6 +146,30 @@ def test_a_run_that_was_stopped_goes_on_to_its_end(finished, tmp_path, capsys, m
         assert message in capsys.readouterr().err
 
 
+def test_a_run_that_is_told_to_end_does_so_as_by_the_keyboard(finished, tmp_path):
+    """SIGTERM, at some moment of a run without end: 128 + 15, a file that is whole, and it goes on."""
+    command = [sys.executable, "-m", "jaxshell", "run", str(finished / "strip.toml"), "--t-end", "1e4", "--quiet"]
+    command += ["--save-every", "1000000000", "--output", str(tmp_path)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ, "JAX_PLATFORMS": "cpu"})
+    path, begun = tmp_path / "strip.h5", time.monotonic()
+    while time.monotonic() - begun < 120 and not (path.exists() and len(Solution.load(path).times) > 100):
+        assert process.poll() is None, process.stderr
+        time.sleep(0.2)
+    told = time.monotonic()
+    process.send_signal(signal.SIGTERM)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 128 + signal.SIGTERM
+    assert "--continue` goes on with it" in said
+    assert time.monotonic() - told < 20
+    found = Solution.load(path)
+    assert found.result == RESULTS.interrupted and len(found.frame_times) == 1
+    assert main(["run", str(finished / "strip.toml"), "--output", str(tmp_path), "--quiet"]) == 2  # it did not end
+    go_on = ["run", str(path), "--continue", "--t-end", "0.1", "--output", str(tmp_path), "--quiet", "--no-plots"]
+    assert main(go_on) == 0
+    assert Solution.load(tmp_path / "strip_continued.h5").times[0] == found.times[-1]
+
+
+@pytest.mark.slow
 def test_rerun_keeps_newton_step_control_and_parameters(finished, tmp_path):
     run = ["run", str(finished / "strip.toml"), "--output", str(tmp_path), "--no-plots", "--quiet"]
     assert main([*run, "--method", "exact", "--step-tolerance", "1e-3", "--newton-tolerance", "1e-5"]) == 0
@@ -166,6 +185,7 @@ def test_rerun_keeps_newton_step_control_and_parameters(finished, tmp_path):
     assert "tolerance=1e-09" in three.stats["newton"]
 
 
+@pytest.mark.slow
 def test_a_static_result_is_run_in_time_as_its_scene(tmp_path, capsys):
     """Of how a static solution was found nothing fits a run in time: steps are asked for, and given."""
     mesh = rectangle(2.0, 1.0, (2, 1))
@@ -263,6 +283,7 @@ def test_scene_without_a_step_asks_for_one(tmp_path, capsys):
     assert "The scene gives no dt: add --dt, or dt in the file's [run]." in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_step_control_and_another_mesh(tmp_path, capsys):
     command = "run cap --divisions 2 --method exact --step-tolerance 1e-5 --t-end 1e-4 --dt 1e-7 --no-plots --output"
     assert main([*command.split(), str(tmp_path)]) == 0

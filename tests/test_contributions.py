@@ -84,7 +84,9 @@ def state_of(method, model, scene, random):
     return eqx.tree_at(lambda s: (s.x, s.R), state, (moved, turned))
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize(
+    "name", [name if name in ("statics", "exact") else pytest.param(name, marks=pytest.mark.slow) for name in METHODS]
+)
 def test_tangent_is_the_derivative_of_the_balance(name):
     """Closed form and `jax.jacfwd` of each contribution against `jax.jacfwd` of the whole step's residual."""
     method, scene, rng = METHODS[name], strip(*everything()), np.random.default_rng(7)
@@ -174,6 +176,7 @@ def strip_long(*loads) -> js.Scene:
     return js.Scene(mesh, js.Section(0.01, 1e6, 0.0, 1000.0), [js.clamped(edge)], loads)
 
 
+@pytest.mark.slow
 def test_gradient_by_a_normal_force():
     """Adjoint against forward mode, and against differences."""
 

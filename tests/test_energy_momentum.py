@@ -307,6 +307,7 @@ def test_prescribed_motion_and_pressure_balance():
     assert float(solution.displacements[1, 0, 2]) == pytest.approx(-0.05, rel=1e-14)
 
 
+@pytest.mark.slow
 def test_second_order_with_the_limit_of_the_papers_scheme():
     """Both tend to one motion but for the rotary inertia, which they interpolate differently; it falls with h²."""
 

@@ -24,7 +24,7 @@ def printed(name, **figures):
     print(f"\n{name}: " + ", ".join(f"{key} {value:.2g}" for key, value in figures.items()))
 
 
-@pytest.mark.parametrize("dt", [5e-5, 1e-4, 2e-4, 4e-4])
+@pytest.mark.parametrize("dt", [1e-4, 4e-4])
 def test_free_plate_conserves(dt):
     """Energy, |L| and |J| to 1e-12 once the loads are gone; energy is their work to 1e-10 (here: 1e-12) before."""
     solution = plate(js.EnergyMomentum(), dt)
@@ -42,7 +42,7 @@ def test_free_plate_conserves(dt):
     assert max(figures[key] for key in ("energy", "linear", "angular", "balance")) < 1e-12
 
 
-@pytest.mark.parametrize("steps", [12, 24, 36, 70, 76, 96, 98, 131])
+@pytest.mark.parametrize("steps", [12, 36, 76, 131])
 def test_free_plate_with_few_steps(steps):
     """20 ms in few steps: some start from an iterate whose mixed tangent is all but singular."""
     solution = plate(js.EnergyMomentum(), 0.02 / steps, t_end=0.02, newton=js.Newton())

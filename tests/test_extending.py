@@ -27,6 +27,7 @@ def names(tmp_path_factory) -> dict:
     return found
 
 
+@pytest.mark.slow
 def test_load(names):
     """The page's load is the public one, and the energy changes by its work (default tolerance of Newton, 1e-8)."""
     scene, flying = names["flying"].scene, names["flying"]

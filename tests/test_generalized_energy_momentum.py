@@ -99,7 +99,9 @@ def equations():
     return {name: matrices(name) for name in ("seven_point", "traditional", "none")}, to_dense, tables
 
 
-@pytest.mark.parametrize("inertia", ["seven_point", "traditional", "none"])
+@pytest.mark.parametrize(
+    "inertia", ["seven_point", *(pytest.param(name, marks=pytest.mark.slow) for name in ("traditional", "none"))]
+)
 @pytest.mark.parametrize(("rho", "xi"), [(1.0, 0.0), (0.8, 0.0), (1.0, 0.05), (0.0, 0.3)])
 def test_tangent_of_a_step(inertia, rho, xi, equations):
     """Elements, assembly, supports (held, moving, symmetric), follower pressure; eqs. (87)-(100)."""
@@ -142,6 +144,7 @@ def run(scene, method, dt, t_end, **options) -> js.Solution:
     return js.simulate(scene, method, dt=dt, t_end=t_end, save_every=50, **options)
 
 
+@pytest.mark.slow
 def test_free_fall():
     """Under gravity every node falls g t²/2: exactly, if the accelerations start with g."""
     scene, fallen = plate(gravity=9.81), -0.5 * 9.81 * np.linspace(0.0, 0.5, 51) ** 2

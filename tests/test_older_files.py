@@ -14,7 +14,8 @@ DATA = Path(__file__).parent / "data"
 
 
 @pytest.mark.parametrize(
-    ("name", "method"), [("plain", js.EnergyMomentum()), ("reactions", js.GeneralizedEnergyMomentum())]
+    ("name", "method"),
+    [("plain", js.EnergyMomentum()), pytest.param("reactions", js.GeneralizedEnergyMomentum(), marks=pytest.mark.slow)],
 )
 def test_run_goes_on(name, method):
     """As a run of this version that was never stopped: within 1e-9, ten times less than Newton's tolerance."""

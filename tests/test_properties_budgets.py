@@ -92,6 +92,7 @@ def nothing(model, state):
     return ()
 
 
+@pytest.mark.slow
 @settings(PROFILE, max_examples=15)
 @given(flights(), TIME_STEPS)
 def test_bathe_in_free_flight_gains_the_impulse_of_three_loads(scene, dt):

@@ -84,6 +84,7 @@ def test_loads_and_reactions_give_the_momentum(name):
     assert np.abs(L).max() > 1e-3 * dt * len(L) * size
 
 
+@pytest.mark.slow
 def test_a_run_that_comes_to_rest_has_the_reactions_of_statics():
     """Node by node; steps that grow to many periods, which ρ∞ = 0 damps in one. Balance at the end of the step."""
     scene = shell(young_modulus=1e9)

@@ -13,6 +13,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", README, flags=re.MULTILINE | re.DOTALL)
 
 
+@pytest.mark.slow
 def test_the_python_runs(capsys):
     """One block after the other in one namespace, as a reader would paste them."""
     names: dict = {}

@@ -1,5 +1,7 @@
 """`simulate`: steps and frames, restart, result files, failure, and several ways to the same run."""
 
+import equinox as eqx
+import jax
 import numpy as np
 import pytest
 
@@ -96,12 +98,13 @@ def test_autodiff_and_closed_form_give_the_same_run(whole, scene):
     close(autodiff.energy.total, whole.energy.total, 1e-10)
 
 
-@pytest.mark.parametrize("solver", [js.Dense(), js.KLU()], ids=["dense", "klu"])
+@pytest.mark.parametrize("solver", [pytest.param(js.Dense(), marks=pytest.mark.slow), js.KLU()], ids=["dense", "klu"])
 def test_linear_solvers_give_the_same_run(solver, whole, scene):
     solution = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, linear_solver=solver, newton=TIGHT)
     close(solution.displacements, whole.displacements)
 
 
+@pytest.mark.slow
 def test_the_papers_criterion(whole, scene):
     """‖ΔQ‖ ≤ 1e-6, eq. (100): the same run within what that leaves."""
     paper = js.Newton(tolerance=1e-6, criterion="norm")
@@ -139,6 +142,22 @@ def test_results_go_to_disk_as_they_come(whole, scene, tmp_path):
     assert all(np.array_equal(again[name], array) for name, array in loaded.state.items())
     with pytest.raises(ValueError, match=r"restart must be a solution .* with its final state"):
         js.simulate(scene, js.EnergyMomentum(), dt=DT, t_end=STEPS * DT, restart=loaded)
+
+
+def test_chunks_of_any_length_make_the_same_run(whole, scene, monkeypatch):
+    """A chunk lasts about a second, however far apart the frames are: here one step at a time."""
+    monkeypatch.setattr("jaxshell.analyses.simulation._CHUNK_TIME", 0.0)
+    found = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=10**9, newton=TIGHT)
+    for name in ("times", "iterations", "watched", "energy"):
+        assert eqx.tree_equal(getattr(found, name), getattr(whole, name)), name
+    assert len(found.frame_times) == 2 and found.frame_times[-1] == whole.frame_times[-1]
+    np.testing.assert_array_equal(found.displacements[-1], whole.displacements[-1])
+
+
+def test_frames_in_a_file_are_not_kept_in_memory(scene, tmp_path):
+    found = js.simulate(scene, EMC, dt=DT, t_end=4 * DT, newton=TIGHT, output=tmp_path / "cap.h5")
+    assert jax.tree.leaves(found.frames) == []
+    np.testing.assert_array_equal(found.frame(2).displacements, found.displacements[2])
 
 
 # --- failure ----------------------------------------------------------------------------------------------

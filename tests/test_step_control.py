@@ -26,7 +26,9 @@ def test_the_estimate_is_the_mid_point_rules_local_error():
     assert found == pytest.approx(abs(trapezoid), rel=0.05)
 
 
-@pytest.mark.parametrize("method", [js.EnergyMomentum(), js.GeneralizedEnergyMomentum()])
+@pytest.mark.parametrize(
+    "method", [js.EnergyMomentum(), pytest.param(js.GeneralizedEnergyMomentum(), marks=pytest.mark.slow)]
+)
 def test_steps_land_on_output_times_and_kinks(method):
     scene = cap(-5.0, [0.0, 1.3e-5, 3.1e-5], [0.0, 1.0, 0.5])
     control = StepControl(1e-4, 1e-6, output_interval=1e-5)
@@ -55,6 +57,7 @@ def test_a_tighter_tolerance_is_more_accurate_and_takes_more_steps():
     assert steps[1] > steps[0]
 
 
+@pytest.mark.slow
 def test_later_steps_may_err_more_unless_the_horizon_is_far():
     """The same runs at first; towards the end, where errors have little time to act, steps of up to 10^(1/3) times."""
     scene, sizes = cap(-20.0, [0.0, 2e-4, 1.0]), {}
@@ -104,6 +107,7 @@ def test_the_smallest_step_ends_the_run_and_keeps_what_was_done():
     assert "smallest" in solution.message and solution.times.size >= 1
 
 
+@pytest.mark.slow
 def test_frozen_steps_repeat_the_run():
     control = StepControl(1e-4, 1e-6, output_interval=1e-5)
     first = js.simulate(cap(), js.EnergyMomentum(), dt=control, t_end=3e-5)

@@ -76,8 +76,8 @@ def solve_arc_length(
         max_load_factor: the path ends with the first step at or beyond this load factor, in size.
         tangent, newton, linear_solver, save_every, throw, progress, output: as in `solve_static`.
 
-    Returns a `Solution` whose times are the load factors along the path, so they may fall; its stats say which of
-    its equilibria are stable under a given load (`stable`) and where stability was lost (`stability_lost`). Raises
+    Returns a `Solution` whose times are the load factors along the path, so they may fall; `stable` says which of
+    its equilibria are stable under a given load, and the stats where stability was lost (`stability_lost`). Raises
     ValueError for bad input, for a mechanism, and when it is traced by `jax.grad` and the like, before
     anything is compiled.
     """

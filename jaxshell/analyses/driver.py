@@ -19,7 +19,7 @@ from jaxshell.files.quoted import quote
 from jaxshell.gradients import Gradients
 from jaxshell.methods.base import Method, Solvers
 from jaxshell.model.scene import Scene
-from jaxshell.numerics.checks import is_concrete
+from jaxshell.numerics.checks import check_count, is_concrete
 from jaxshell.results.frames import Frames, StoredFrames
 from jaxshell.results.output import Output
 from jaxshell.results.restart import restored
@@ -57,8 +57,7 @@ def check_options(scene, method, save_every, tangent, newton) -> None:
     for name, value, kind in (("scene", scene, Scene), ("method", method, Method), ("newton", newton, Newton)):
         if not isinstance(value, kind):
             raise ValueError(f"{name} must be a jaxshell.{kind.__name__}, but it is {value!r}.")
-    if not isinstance(save_every, int | np.integer) or save_every < 1:
-        raise ValueError(f"save_every must be a whole number of at least 1, but it is {save_every!r}.")
+    check_count("save_every", save_every)
     if tangent not in ("closed_form", "autodiff"):
         raise ValueError(f'tangent must be "closed_form" or "autodiff", but it is {tangent!r}.')
     scene.section.check(scene.mesh)
@@ -280,6 +279,7 @@ def solution_of(
         message=message,
         stats=Stats() if stats is None else stats,
         reaction=record.reaction,
+        stable=record.stable,
         analysis=analysis,
     )
 

@@ -33,6 +33,8 @@ class Record(NamedTuple):
     """Whether the step was taken and succeeded."""
     reaction: Float[Array, " nh"] | None = None
     """What the supports carried in the step, where it was asked for."""
+    stable: Any = None
+    """In statics, whether the equilibrium is stable."""
 
 
 class Frame(NamedTuple):

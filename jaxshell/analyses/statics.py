@@ -119,8 +119,9 @@ def solve_static(
     Returns a `Solution` whose times are the load factors (the first entry, 0, is the start); after a failure
     the last entry is the largest part of the failed step that was reached. `iterations` counts all that were
     spent on the way to a load factor. Kinetic energy and momenta are zero. Under `jax.grad` and the like no
-    step is halved. The stats say which of the entries are stable equilibria (`stable`), at which load factors stability
-    was lost (`stability_lost`, interpolated), and at which a branch was followed (`branched`).
+    step is halved. `stable` says which of the entries are stable equilibria (None under `jax.grad` and the like), and
+    the stats at which load factors stability was lost (`stability_lost`, interpolated) and a branch was followed
+    (`branched`).
 
     Raises ValueError for bad input and for a mechanism, which it names, before anything is compiled.
     """
@@ -226,23 +227,22 @@ class StaticLog(Log):
     def __init__(self, setup: Setup, output):
         super().__init__(setup.scene, setup.plan, output, analysis="static")
         self.path = Path()
-        self.stable = [True]
 
     def start(self, record, frame) -> None:
         """The start of the path."""
-        self.append(single(record), single(frame))
+        self.append(single(record._replace(stable=True)), single(frame))
 
     def step(self, record, frame, spent, last: bool = False) -> None:
         """A finished step that cost `spent` = (iterations, factorizations); `last` always keeps its frame."""
-        record = record._replace(iterations=np.asarray(spent[0]), factorizations=np.asarray(spent[1]))
+        iterations, factorizations = np.asarray(spent[0]), np.asarray(spent[1])
+        record = record._replace(iterations=iterations, factorizations=factorizations, stable=self.path.stable)
         keep = last or (self.steps + 1) % self.plan.save_every == 0
-        self.stable.append(self.path.stable)
         self.append(single(record), jax.tree.map(lambda a: a if keep else a[:0], single(frame)))
 
     def finish(self, state, code: int, message: str, **figures) -> Solution:
         """As every log, with what the path knows of stability in the stats."""
         carry = Carry(state, None, jnp.asarray(code))
-        return super().finish(carry, code, message, stable=tuple(self.stable), **self.path.figures(), **figures)
+        return super().finish(carry, code, message, **self.path.figures(), **figures)
 
 
 def reactions(solution: Solution) -> Float[Array, "*k n 6"]:
@@ -284,8 +284,8 @@ def _load_factors(values):
         return np.arange(1, 11) / 10
     if not all(is_concrete(value) for value in jax.tree.leaves(values)):
         return jnp.asarray(values)
-    values = np.asarray(values, float)
     check_finite("load_factors", values)
+    values = np.asarray(values, float)
     if values.ndim != 1 or values.size == 0:
         raise ValueError(f"load_factors must be a list of numbers, but it has shape {values.shape}.")
     values = values[1:] if values[0] == 0 else values
