@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxshell.assembly.sparsity import SparsityPattern
+from jaxshell.numerics.derived import derived
 from jaxshell.solvers.iteration import Linear
 from jaxshell.solvers.linear_solver import default_solver, multiply
 
@@ -53,12 +54,12 @@ def eigenvalues(pencil: Pencil, vectors: Float[Array, "c n"], defined: Bool[Arra
     A second derivative where an eigenvalue is `defined` and not simple is an error when the program gets there; where
     it is not `defined`, the number is not used.
     """
-    return _values(pencil.pattern, True, vectors, pencil.A, pencil.B, defined)
+    return _values(True, vectors, pencil, defined)
 
 
 def eigenvectors(pencil: Pencil, vectors: Float[Array, "c n"]) -> Float[Array, "c n"]:
     """`vectors`, φᵀ B φ = 1, with their derivatives: NaN where an eigenvalue is not simple."""
-    return _vectors(pencil.pattern, False, vectors, pencil.A, pencil.B, jnp.ones(vectors.shape[0], bool))
+    return _vectors(False, vectors, pencil, jnp.ones(vectors.shape[0], bool))
 
 
 def quadratic(pattern: SparsityPattern, values: Float[Array, " m"], vectors: Float[Array, "c n"]) -> Float[Array, " c"]:
@@ -68,38 +69,30 @@ def quadratic(pattern: SparsityPattern, values: Float[Array, " m"], vectors: Flo
     return jnp.sum(vectors[:, rows] * values * vectors[:, columns], axis=1)
 
 
-@eqx.filter_custom_jvp
-def _values(pattern, strict, vectors, A, B, defined):
-    return quadratic(pattern, A, vectors) / quadratic(pattern, B, vectors)
+def _values(strict: bool, vectors, pencil: Pencil, defined) -> Float[Array, " c"]:
+    def change(mu, given, along):
+        pencil, vectors = given
+        phi = _vectors(strict, vectors, pencil, defined)
+        dA, dB = along(lambda given: given[0].A), along(lambda given: given[0].B)
+        moved = quadratic(pencil.pattern, dA, phi) - mu * quadratic(pencil.pattern, dB, phi)
+        return moved / quadratic(pencil.pattern, pencil.B, phi)
+
+    still = jax.lax.stop_gradient(pencil)
+    mu = quadratic(pencil.pattern, still.A, vectors) / quadratic(pencil.pattern, still.B, vectors)
+    return derived(change, mu, (pencil, vectors))
 
 
-@_values.def_jvp
-def _(primals, tangents):
-    pattern, strict, vectors, A, B, defined = primals
-    phi = _vectors(pattern, strict, vectors, A, B, defined)
-    mu = _values(pattern, strict, vectors, A, B, defined)
-    change = jnp.zeros_like(mu)
-    if tangents[3] is not None:
-        change = change + quadratic(pattern, tangents[3], phi)
-    if tangents[4] is not None:
-        change = change - mu * quadratic(pattern, tangents[4], phi)
-    return mu, change / quadratic(pattern, B, phi)
-
-
-@eqx.filter_custom_jvp
-def _vectors(pattern, strict, vectors, A, B, defined):
-    return vectors
-
-
-@_vectors.def_jvp
-def _(primals, tangents):
-    pattern, strict, vectors, A, B, defined = primals
-    dA, dB = (jnp.zeros_like(v) if d is None else d for v, d in zip((A, B), tangents[3:5], strict=True))
-    phi = _vectors(pattern, strict, vectors, A, B, defined)
-    mu = _values(pattern, strict, vectors, A, B, defined)
+def _vectors(strict: bool, vectors, pencil: Pencil, defined) -> Float[Array, "c n"]:
     solver = default_solver()
-    one = functools.partial(_nelson, Linear(solver, solver.prepare(pattern)), strict, A, B, dA, dB)
-    return phi, jax.vmap(one)(phi, mu, defined)
+    linear = Linear(solver, solver.prepare(pencil.pattern))
+
+    def change(phi, pencil, along):
+        dA, dB = along(lambda pencil: pencil.A), along(lambda pencil: pencil.B)
+        mu = _values(strict, vectors, pencil, defined)
+        one = functools.partial(_nelson, linear, strict, pencil.A, pencil.B, dA, dB)
+        return jax.vmap(one)(phi, mu, defined)
+
+    return derived(change, vectors, pencil)
 
 
 def _nelson(linear: Linear, strict: bool, A, B, dA, dB, phi, mu, defined) -> Float[Array, " n"]:

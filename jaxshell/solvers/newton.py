@@ -5,14 +5,12 @@ so far or from the residual, so that no solve is spent only to see that it was s
 with its numbers, never a NaN. There are two: `jaxshell.solvers.full_newton` and `jaxshell.solvers.chord_newton`.
 """
 
-import functools
 from collections.abc import Callable
 
 import equinox as eqx
-import jax
-from jax.custom_derivatives import SymbolicZero
 
 from jaxshell.numerics.checks import Real, check_choice, check_count, check_positive_number, check_switch
+from jaxshell.numerics.derived import derived
 from jaxshell.solvers import chord_newton, full_newton
 from jaxshell.solvers.iteration import Linear, Measure, Memory, Problem
 
@@ -67,24 +65,10 @@ def attach_derivative(linear: Linear, residual: Callable, tangent: Callable, fre
     the solution and K move with the parameters. Only what is differentiated is: parameters that do not move cost
     nothing, and where none does neither function is used.
     """
-    arrays, static = eqx.partition((linear, parameters), eqx.is_array)
 
-    @jax.custom_jvp
-    def solution(free, arrays):
-        return free
+    def change(free, both, along):
+        linear, parameters = both
+        unbalanced = along(lambda both: residual(free, both[1]))
+        return -linear.solve_once(tangent(free, parameters), unbalanced)
 
-    @functools.partial(solution.defjvp, symbolic_zeros=True)
-    def _(primals, tangents):
-        arrays = primals[1]
-        moves = jax.tree.map(lambda direction: not isinstance(direction, SymbolicZero), tangents[1])
-        moving, still = eqx.partition(arrays, moves)
-        free = solution(*primals)
-
-        def unbalanced(moving):
-            return residual(free, eqx.combine(moving, still, static)[1])
-
-        _, change = jax.jvp(unbalanced, (moving,), (eqx.filter(tangents[1], moves),))
-        linear, parameters = eqx.combine(arrays, static)
-        return free, -linear.solve_once(tangent(free, parameters), change)
-
-    return solution(free, arrays)
+    return derived(change, free, (linear, parameters))
