@@ -55,7 +55,7 @@ def _jvp(primals, tangents, *, change):
     value = _derived.bind(*primals, change=change)
     directions = [None if _still(tangent) else tangent for tangent in tangents[1:]]
     if all(direction is None for direction in directions):
-        return value, ad.Zero.from_primal_value(value)
+        return value, ad.Zero.from_primal_value(value)  # pyright: ignore[reportAttributeAccessIssue]
     return value, change(value, list(primals[1:]), directions)
 
 
