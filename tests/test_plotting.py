@@ -144,7 +144,7 @@ def test_shapes_at_the_picture_times_true_to_scale(cap):
 def test_a_flight_is_one_picture():
     run = synthetic_solution(PAPER["plate"]((3, 1)))
     way = jnp.linspace(0, 1, len(run.frame_times))[:, None, None] * jnp.array([0.9, 0.0, 0.3])
-    run = eqx.tree_at(lambda s: s.displacements, run, run.displacements + way)
+    run = eqx.tree_at(lambda s: s.frames.displacements, run, run.displacements + way)
     panel, _ = figures(run)["shapes"].axes
     shapes = len(panel.collections[0].get_paths()) / run.scene.mesh.n_elements
     assert shapes > 1 and shapes == sum("t =" in text.get_text() for text in panel.texts)

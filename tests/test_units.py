@@ -45,10 +45,11 @@ def test_statics(solver):
         run = js.solve_static(scene, [0.5, 1.0], linear_solver=available(solver))
         return run.frame(-1).displacements
 
-    expected = np.asarray(displacements(plate()))
+    push = (0.0, 0.01, 1.5)
+    expected = np.asarray(displacements(plate(push=push)))
     assert np.abs(expected).max() > 0.1
     for length, mass in UNITS:
-        assert error(displacements(plate(length, mass)) / length, expected) < 1e-9
+        assert error(displacements(plate(length, mass, push)) / length, expected) < 1e-9
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,7 @@ def proportional(scene: Scene) -> Scene:
 
 def solve_static(
     scene: Scene,
-    load_factors: Sequence[float] | np.ndarray | None = None,
+    load_factors: Sequence[float] | np.ndarray | jax.Array | None = None,
     *,
     tangent: str = "closed_form",
     newton: Newton | None = None,

@@ -68,9 +68,7 @@ ad.primitive_jvps[_derived] = _jvp
 
 def _batched(arguments, axes, *, change):
     size = next(a.shape[d] for a, d in zip(arguments, axes, strict=True) if d is not None)
-    value, *leaves = (
-        a if d is None else jnp.moveaxis(a, d, 0) for a, d in zip(arguments, axes, strict=True)
-    )
+    value, *leaves = (a if d is None else jnp.moveaxis(a, d, 0) for a, d in zip(arguments, axes, strict=True))
     if axes[0] is None:
         value = jnp.broadcast_to(value, (size, *value.shape))
     mapped = tuple(axis is not None for axis in axes[1:])
