@@ -19,7 +19,7 @@ def scene(p, loads, moving=False) -> js.Scene:
     """README's two triangles, with a bent corner; p: relative changes of thickness, modulus and length, and another."""
     supports = [js.clamped([0, 3])]
     if moving:
-        supports.append(js.Support([2], ("uy",), displacement=0.02 * (1 + p[3])))
+        supports.append(js.Support([2], ("uy",), displacement=0.02 * (1 + p[3]), history=js.History.ramp(1.0)))
     mesh = js.Mesh(NODES * (1 + jnp.array([p[2], 0.0, 0.0])), TRIANGLES)
     return js.Scene(mesh, js.Section(0.02 * (1 + p[0]), 1e6 * (1 + p[1]), 0.3, 1000.0), supports, loads, watch=WATCH)
 
@@ -51,7 +51,7 @@ def factor(p):
     return js.linear_buckling(scene(p, push), 1).load_factors[0]
 
 
-def check(function, tolerance=1e-5):
+def check(function, tolerance=1e-5, step=1e-2):
     """The Hessian is that of differences of gradients, symmetric, and what Hessian-vector products give."""
 
     def all_of(p, v):
@@ -65,7 +65,7 @@ def check(function, tolerance=1e-5):
         return np.stack([np.asarray(program(AT + s, steps)[0] - program(AT - s, steps)[0]) / (2 * h) for s in steps])
 
     hessian = np.asarray(program(AT, np.eye(AT.size))[1])
-    expected = (4 * differences(0.5e-2) - differences(1e-2)) / 3
+    expected = (4 * differences(0.5 * step) - differences(step)) / 3
     size = np.abs(expected).max()
     assert size > 0
     assert np.abs(hessian - expected).max() < tolerance * size
@@ -75,12 +75,12 @@ def check(function, tolerance=1e-5):
 
 
 def test_statics():
-    check(bent)
+    check(bent, step=5e-4)  # it bends by much: the fourth derivatives are large
 
 
 @pytest.mark.slow
 def test_statics_with_a_moving_support():
-    check(lambda p: bent(p, moving=True))
+    check(lambda p: bent(p, moving=True), step=5e-4)
 
 
 def test_frequencies():
