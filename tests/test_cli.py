@@ -96,7 +96,11 @@ def test_rerun_of_a_result_file_gives_the_same(finished):
 
 @pytest.mark.parametrize(
     "method",
-    ["EDMC1", "exact", *(pytest.param(m, marks=pytest.mark.slow) for m in ("newmark", "bathe", "centraldifference"))],
+    [
+        "EDMC1",
+        "exact",
+        *(pytest.param(m, marks=pytest.mark.evidence) for m in ("newmark", "bathe", "centraldifference")),
+    ],
 )
 def test_a_run_goes_on_from_its_file(method, finished, tmp_path):
     """In two halves the run that one makes in one go, by every kind of state."""

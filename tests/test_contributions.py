@@ -85,7 +85,8 @@ def state_of(method, model, scene, random):
 
 
 @pytest.mark.parametrize(
-    "name", [name if name in ("statics", "exact") else pytest.param(name, marks=pytest.mark.slow) for name in METHODS]
+    "name",
+    [name if name in ("statics", "exact") else pytest.param(name, marks=pytest.mark.evidence) for name in METHODS],
 )
 def test_tangent_is_the_derivative_of_the_balance(name):
     """Closed form and `jax.jacfwd` of each contribution against `jax.jacfwd` of the whole step's residual."""
@@ -157,6 +158,7 @@ def test_normal_force_turns_with_the_shell():
     np.testing.assert_allclose(found, expected, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_normal_force_in_statics_against_a_dead_force():
     """Small: the same as the dead force. Large, it stays at right angles to the tip and does not hang down."""
     tip = [3, 7, 11]

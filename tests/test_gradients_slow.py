@@ -35,7 +35,13 @@ def check(value, p):
     check_derivatives(jax.jit(jax.value_and_grad(value)), push, p)
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("EDMC", "EnergyMomentum") else pytest.param(name, marks=pytest.mark.evidence)
+        for name in METHODS
+    ],
+)
 def test_methods(name):
     def value(p):
         steps = DT * (1 + p["dt"])
@@ -117,7 +123,13 @@ def test_through_buckling(method):
     assert difference_error(lambda c: adjoint(c)[0], at, along, back, steps) < 1e-6
 
 
-@pytest.mark.parametrize("method", [js.GeneralizedEnergyMomentum(), js.EnergyMomentum(), js.EnergyMomentum(0.05)])
+@pytest.mark.parametrize(
+    "method",
+    [
+        js.GeneralizedEnergyMomentum(),
+        *(pytest.param(m, marks=pytest.mark.evidence) for m in (js.EnergyMomentum(), js.EnergyMomentum(0.05))),
+    ],
+)
 def test_a_free_plate_at_rest(method):
     """Nothing deforms and nothing turns: |Δπ|² = 0 in every element, zero rotations, nodes without load."""
     with jax.ensure_compile_time_eval():
@@ -139,7 +151,14 @@ def test_a_free_plate_at_rest(method):
     np.testing.assert_allclose(np.sum(gradients[2]), 2e-4 * rest.size, rtol=1e-9)
 
 
-@pytest.mark.parametrize("kept", [Checkpointed(), Checkpointed(levels=2), Checkpointed(keep_increments=False)])
+@pytest.mark.parametrize(
+    "kept",
+    [
+        Checkpointed(),
+        pytest.param(Checkpointed(levels=2), marks=pytest.mark.evidence),
+        Checkpointed(keep_increments=False),
+    ],
+)
 def test_checkpoints_change_nothing(kept):
     p = parameters()
 

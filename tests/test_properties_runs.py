@@ -91,12 +91,12 @@ FAMILY = {
     "generalized_alpha": numbers(0.0, 1.0).map(lambda rho: js.GeneralizedAlpha(jnp.asarray(rho))),
     "hht": numbers(-1.0 / 3.0, 0.0).map(lambda alpha: js.HHT(jnp.asarray(alpha))),
 }
-SLOW = ("generalized_alpha", "hht", "newmark")
+OTHERS = ("generalized_alpha", "hht", "newmark")
 
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in FAMILY],
+    [pytest.param(name, marks=pytest.mark.evidence) if name in OTHERS else name for name in FAMILY],
 )
 def test_linear_momentum_is_the_impulse_by_newmarks_formulas(name):
     """M of the whole shell obeys the scalar scheme: its rate A = L̇ from ΣF at t_{n+1-αf}, and ΔL = Δt(γ A₁ + (1-γ)A₀).

@@ -56,11 +56,11 @@ def run(method, count=50, scene=None, **options):
     return js.simulate(shell() if scene is None else scene, method, dt=dt, t_end=count * dt, **options)
 
 
-SLOW = ("EDMC", "hht", "generalized_alpha")
+OTHERS = ("EDMC", "hht", "generalized_alpha")
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in METHODS]
+    "name", [pytest.param(name, marks=pytest.mark.evidence) if name in OTHERS else name for name in METHODS]
 )
 def test_loads_and_reactions_give_the_momentum(name):
     """The rate of the linear momentum, by the method's own formulas of acceleration and velocity, to 1e-9."""
@@ -96,6 +96,7 @@ def test_a_run_that_comes_to_rest_has_the_reactions_of_statics():
     assert found == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_recording_changes_nothing_and_is_kept(tmp_path):
     """The motion is that of a run without; a file and a restart go on with it."""
     method, file = METHODS["energy_momentum"], tmp_path / "run.h5"

@@ -87,16 +87,15 @@ def test_frequencies():
     check(frequency)
 
 
+@pytest.mark.slow
 def test_buckling():
     check(factor)
 
 
 METHODS = [
     js.CentralDifference(),
-    *(
-        pytest.param(method, marks=pytest.mark.slow)
-        for method in (js.GeneralizedEnergyMomentum(), js.EnergyMomentum(), js.Newmark(), js.Bathe())
-    ),
+    *(pytest.param(m, marks=pytest.mark.slow) for m in (js.GeneralizedEnergyMomentum(), js.EnergyMomentum())),
+    *(pytest.param(m, marks=pytest.mark.evidence) for m in (js.Newmark(), js.Bathe())),
 ]
 
 
@@ -118,6 +117,7 @@ def test_modes_have_derivatives():
     assert np.asarray(change) == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_equal_frequencies_have_no_second_derivative():
     """Two shells alike that nothing connects: every frequency is there twice."""
     nodes, triangles = np.concatenate([NODES, NODES + [0.0, 3.0, 0.0]]), np.concatenate([TRIANGLES, TRIANGLES + 4])

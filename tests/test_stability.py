@@ -59,7 +59,9 @@ def test_elastica_of_the_tables():
     assert elastica(1.015) == pytest.approx(0.220, abs=1e-2)
 
 
-@pytest.mark.parametrize("solver", [js.Pardiso, *(pytest.param(s, marks=pytest.mark.slow) for s in (js.KLU, js.Dense))])
+@pytest.mark.parametrize(
+    "solver", [js.Pardiso, *(pytest.param(s, marks=pytest.mark.evidence) for s in (js.KLU, js.Dense))]
+)
 def test_straight_column_says_where_it_lost_its_stability(solver):
     """A column of 10 cells buckles 0.2 % above Euler's load; on the way there is no other sign of it."""
     factors = [0.25, 0.5, 0.75, 1.0]
@@ -108,7 +110,7 @@ def plate(cells=6, over=1.5):
     return js.Scene(mesh, js.Section(thickness, young, nu, 1.0), supports, watch={"w": (middle, "uz")})
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_plate_buckles_into_its_half_wave():
     """At k = 4 of the square plate, to what 6 cells give; and to a deflection of the thickness's size."""
     solution = js.solve_static(plate(), [0.5, 1.0], branch="follow")

@@ -258,6 +258,7 @@ def test_a_path_that_turns_back_sharply_is_not_followed_back(arc_length):
     assert imbalance(path) < BALANCE
 
 
+@pytest.mark.slow
 def test_an_arc_length_is_found_where_none_is_given():
     """The thin roof's limit loads, 0.1953 and -0.1288 in the reference, found without one."""
     path = js.solve_arc_length(scenes.hinged_roof((8, 8), 6.35))

@@ -57,7 +57,7 @@ def test_statics(solver):
 )
 @pytest.mark.parametrize(
     "solver",
-    [SOLVERS[0], *(pytest.param(kind, marks=pytest.mark.slow) for kind in SOLVERS[1:])],
+    [SOLVERS[0], *(pytest.param(kind, marks=pytest.mark.evidence) for kind in SOLVERS[1:])],
     ids=lambda k: k.__name__,
 )
 def test_motion(method, solver):
@@ -90,6 +90,7 @@ def test_buckling():
         assert error(js.linear_buckling(plate(length, mass, push), 2).load_factors, np.asarray(expected)) < 1e-9
 
 
+@pytest.mark.slow
 def test_arc_length():
     def path(scene):
         run = js.solve_arc_length(scene, steps=4, max_load_factor=1.0)
