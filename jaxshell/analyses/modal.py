@@ -11,6 +11,8 @@ Both are solved in units in which no number depends on the user's. `jaxshell.sol
 of eigenvalues and modes.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -242,7 +244,7 @@ def _power_of_two(number) -> float:
     return float(np.ldexp(1.0, np.frexp(float(number))[1]))
 
 
-def _sparse(pattern: SparsityPattern, values: np.ndarray) -> sparse.csc_matrix:
+def _sparse(pattern: SparsityPattern, values: np.ndarray) -> Any:  # SciPy's types say array or matrix
     size = pattern.size
     return sparse.csr_matrix((values, pattern.indices.array, pattern.indptr.array), (size, size)).tocsc()
 
@@ -263,7 +265,7 @@ def _are_rigid(pattern: SparsityPattern, K, vectors, shift):
 class _Inverse(LinearOperator):
     """A⁻¹ by SuperLU."""
 
-    def __init__(self, matrix: sparse.csc_matrix):
+    def __init__(self, matrix):
         super().__init__(np.float64, matrix.shape)
         self.factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
@@ -291,7 +293,7 @@ def _dense_shift_invert(K, M, shift: float, count: int) -> tuple[np.ndarray, np.
     try:
         theta, vectors = eigh(M, shifted)
     except LinAlgError:  # not positive definite, about an unstable state
-        theta, vectors = (part.real for part in eig(M, shifted))
+        theta, vectors = (np.real(part) for part in eig(M, shifted))
     nearest = np.argsort(-np.abs(theta))[:count]
     with np.errstate(divide="ignore"):  # beyond the rank of M
         return shift + 1.0 / theta[nearest], vectors[:, nearest]

@@ -11,7 +11,9 @@ Layout (schema 2), every float in double precision, units those of the scene:
                  they were recorded
     /frames      times (f,), displacements (f, n, 3), velocities (f, n, 3), rotations (f, n, 4)
     /state       of a run in time, what its method needs to go on from the last step, an array per name
-    /newton      of a run in time, what its iteration keeps from step to step: so a run goes on to the last bit
+    /newton      of a run in time, what its iteration keeps from step to step, and the time of the state to which that
+                 belongs: so a run goes on to the last bit. Of a large run that was killed it may be of an earlier
+                 state; then it is not used, and the run goes on within the tolerance
 
 Rotations are unit quaternions (w, x, y, z), 4 numbers in place of 9; a rotation matrix comes back to 1e-15. Files grow
 while a run goes on, and outlive its death at any moment (`jaxshell.results.durable`); every byte that counts is under a
@@ -38,7 +40,7 @@ from jaxshell.results.claim import Claim
 from jaxshell.results.frames import StoredFrames
 from jaxshell.results.output import Output
 from jaxshell.results.quaternions import matrices_to_quaternions
-from jaxshell.results.restart import named
+from jaxshell.results.restart import named, time_of
 from jaxshell.results.solution import RESULTS, Energy, Momentum, Solution, Stats
 from jaxshell.results.tree import read_scene_of, to_json, tuples, write_scene
 from jaxshell.version import version
@@ -51,6 +53,10 @@ _INTERRUPTED = "The run was stopped before its end: the file holds the {steps} s
 _SHARE, _SOON, _BACKLOG = 50, 1.0, 2**23
 """What is written waits for the disk after so many times what the last wait took, but no less than so many seconds, or
 when so many bytes wait."""
+_LIGHT = 2**18
+"""Bytes of what Newton keeps that are written with every part."""
+_AT = "time"
+"""Of the state to which what Newton keeps belongs."""
 
 
 class ResultWriter(Output):
@@ -70,6 +76,9 @@ class ResultWriter(Output):
         self._file: Any = None
         self._frames = self._steps = 0
         self._last, self._synced, self._pause = 0.0, 0.0, _SOON
+        self._sound = False
+        self._newton: dict[str, Any] | None = None
+        self._newton_written = self._newton_pause = 0.0
 
     def begin(self, scene: Scene, settings: dict) -> None:
         """Make a file with the scene, which must be concrete (not traced by jit, grad or vmap), and the settings."""
@@ -103,8 +112,10 @@ class ResultWriter(Output):
     def append(self, part: Solution) -> None:
         """Add the steps and frames of `part`; its state replaces the last. Raises OSError where the disk is full."""
         with held():
+            self._sound = False
             self._add(part)
             self._commit()
+            self._sound = True
         self._steps += len(part.times)
         self._frames += len(part.frame_times)
         self._last = float(part.times[-1]) if len(part.times) else self._last
@@ -130,13 +141,29 @@ class ResultWriter(Output):
                 extend(histories[name], value)
         extend(histories["iterations"], part.iterations)
         extend(histories["times"], part.times)
-        for group, tree in (("state", part.state), ("newton", part.newton)):
-            for name, leaf in {} if tree is None else named(tree).items():
-                place, array = f"{group}/{name}", np.asarray(leaf)
-                if place in self._file:
-                    self._file[place][...] = array
-                else:
-                    write_array(self._file, place, array)
+        self._put("state", part.state)
+        if part.newton is not None and part.state is not None:
+            self._newton = {**part.newton, _AT: time_of(part.state)}
+            size = sum(np.asarray(leaf).nbytes for leaf in self._newton.values())
+            if size <= _LIGHT or time.monotonic() - self._newton_written > self._newton_pause:
+                self._write_newton()
+
+    def _put(self, group: str, tree) -> None:
+        """The arrays of a pytree in the place of those before."""
+        for name, leaf in {} if tree is None else named(tree).items():
+            place, array = f"{group}/{name}", np.asarray(leaf)
+            if place in self._file:
+                self._file[place][...] = array
+            else:
+                write_array(self._file, place, array)
+
+    def _write_newton(self) -> None:
+        """What Newton keeps. A large matrix is written when it costs little of the run, and at its end."""
+        begun = time.monotonic()
+        self._put("newton", self._newton)
+        self._newton = None
+        self._newton_written = time.monotonic()
+        self._newton_pause = 2 * _SHARE * (self._newton_written - begun)
 
     def _commit(self, end: bool = False) -> None:
         """Bring to the disk what was added."""
@@ -167,6 +194,8 @@ class ResultWriter(Output):
             raise ValueError(f"result must be one of {', '.join(result_names())}, but it is {result!r}.")
         assert self._claim is not None
         with held():
+            if self._newton is not None:
+                self._write_newton()
             write_text(self._file, "stats", to_json(stats))
             write_text(self._file, "message", message)
             write_attribute(self._file, "result", result)
@@ -180,7 +209,11 @@ class ResultWriter(Output):
         if self._claim is None:
             return
         with held():
-            # What is not committed is of a part that failed to be written.
+            # What is not committed by now is of a part that failed to be written, but for what Newton keeps.
+            with contextlib.suppress(Exception):
+                if self._sound and self._newton is not None:
+                    self._write_newton()
+                    self._commit(end=True)
             with contextlib.suppress(Exception):
                 self._file.close()
             self._claim.release()
@@ -239,6 +272,8 @@ def _solution(file, scene: Scene, path) -> Solution:
         {name: jnp.asarray(d[()]) for name, d in file[group].items()} if group in file else None
         for group in ("state", "newton")
     )
+    # What Newton kept may be of an earlier state, where the run was killed: then it is not used.
+    newton = newton if newton is not None and state is not None and newton.pop(_AT) == time_of(state) else None
     return Solution(
         scene=scene,
         times=times,
