@@ -78,7 +78,7 @@ def test_statics():
     check(bent, step=5e-4)  # it bends by much: the fourth derivatives are large
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_statics_with_a_moving_support():
     check(lambda p: bent(p, moving=True), step=5e-4)
 

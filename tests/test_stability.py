@@ -74,7 +74,7 @@ def test_straight_column_says_where_it_lost_its_stability(solver):
         assert (quotients(solution, frame)[0] > 0) == stable
 
 
-@pytest.mark.slow
+@pytest.mark.evidence
 def test_followed_column_is_the_elastica():
     solution = js.solve_static(column(), [0.5, 0.75, 1.0], branch="follow")
     assert all(solution.stable)

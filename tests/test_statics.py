@@ -245,7 +245,7 @@ def limit_points(factors):
     return factors[1:-1][change[:-1] * change[1:] < 0]
 
 
-@pytest.mark.parametrize("arc_length", [pytest.param(4.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("arc_length", [pytest.param(4.0, marks=pytest.mark.evidence)])
 def test_a_path_that_turns_back_sharply_is_not_followed_back(arc_length):
     """The pinched cylinder on 16×16 snaps back three times on the way to its full load; on the part that it came
     from it would unload to zero and below."""
