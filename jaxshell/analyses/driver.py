@@ -120,7 +120,8 @@ def kept_by_newton(carry: Carry):
     """What of Newton's memory a file can hold: all but the factorization, which is made anew of its matrix."""
     if carry.memory is None:
         return None
-    return {field.name: getattr(carry.memory, field.name) for field in dataclasses.fields(carry.memory)[1:]}
+    names = (field.name for field in dataclasses.fields(carry.memory) if field.name != "factorization")
+    return {name: getattr(carry.memory, name) for name in names}
 
 
 def _remembering(plan: Plan, carry: Carry, kept: dict) -> Carry:

@@ -80,35 +80,30 @@ def _content(path) -> Any:
         ) from error
 
 
-class _Bytes(io.BufferedReader):
+class _Ending:
     """A file whose end is an error for who goes on reading there: some of meshio's readers never stop."""
 
     ends = 0
 
     def readline(self, size=-1, /):
-        return _counted(self, super().readline(size))
+        return self._counted(super().readline(size))  # pyright: ignore[reportAttributeAccessIssue]
 
     def read(self, size=-1, /):
-        return _counted(self, super().read(size))
+        return self._counted(super().read(size))  # pyright: ignore[reportAttributeAccessIssue]
+
+    def _counted(self, found):
+        self.ends = 0 if found else self.ends + 1
+        if self.ends > 1000:
+            raise EOFError("The file ends too early.")
+        return found
 
 
-class _Characters(io.TextIOWrapper):
-    """The same of text."""
-
-    ends = 0
-
-    def readline(self, size=-1, /):
-        return _counted(self, super().readline(size))
-
-    def read(self, size=-1, /):
-        return _counted(self, super().read(size))
+class _Bytes(_Ending, io.BufferedReader):
+    """Of bytes."""
 
 
-def _counted(file, found):
-    file.ends = 0 if found else file.ends + 1
-    if file.ends > 1000:
-        raise EOFError("The file ends too early.")
-    return found
+class _Characters(_Ending, io.TextIOWrapper):
+    """Of text."""
 
 
 def _open_with_an_end(file, mode="r", *arguments, **named):

@@ -65,6 +65,16 @@ def read_text(group, name: str) -> str:
     return value.decode().rstrip("\0") if isinstance(value, bytes) else str(value)
 
 
+def has(group, name: str) -> bool:
+    """Whether there is such a text or dataset."""
+    return name in group or name in group.attrs
+
+
+def run_of(file) -> str:
+    """The name of the run in a file; version 0.1 gave none."""
+    return read_text(file, "run") if "run" in file.attrs else ""
+
+
 def growing(group, name: str, shape: tuple[int, ...], dtype: Any = np.float64, compressed: bool = False) -> None:
     """A dataset (0, *shape) that can grow along its first axis.
 

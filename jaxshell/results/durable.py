@@ -33,31 +33,16 @@ _MARK, _SLOTS_AT = b"jxcommit", (1024, 2048)
 _ENTRY = struct.Struct("<Q")
 
 
-class DurableFile(io.RawIOBase):
-    """A new file at `path`, which must not exist, for h5py to write into with a user block of `PAGE` bytes."""
+class _Seekable(io.RawIOBase):
+    """An open file of the system's with a place in it, as h5py's `fileobj` driver wants one."""
 
-    def __init__(self, path):
+    _fd = -1
+
+    def __init__(self, fd: int, size: int):
         super().__init__()
-        self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-        try_lock(self._fd, OWNER)
-        os.pwrite(self._fd, b"\0" * PAGE, 0)
-        self._size = 0  # HDF5 makes a file where it finds none
-        self._committed = self._reached = PAGE
-        """Bytes of the file, and the most that it ever had: HDF5 gives bytes at the end back, and takes them again."""
-        self._position = 0
-        self._dirty: dict[int, bytearray] = {}
-        """Pages as HDF5 wants them, not committed."""
-        self._waiting: dict[int, bytes] = {}
-        """Pages that are committed and stand in the journal only."""
-        self._journal = (0, 0)
-        self._number = 0
-
-    # --- what h5py calls ----------------------------------------------------------------------------------
+        self._fd, self._size, self._position = fd, size, 0
 
     def readable(self):
-        return True
-
-    def writable(self):
         return True
 
     def seekable(self):
@@ -69,6 +54,35 @@ class DurableFile(io.RawIOBase):
 
     def tell(self):
         return self._position
+
+    def close(self):
+        """Let go of the file. What a writer has not committed is forgotten."""
+        if not self.closed and self._fd >= 0:
+            os.close(self._fd)
+        super().close()
+
+
+class DurableFile(_Seekable):
+    """A new file at `path`, which must not exist, for h5py to write into with a user block of `PAGE` bytes."""
+
+    def __init__(self, path):
+        # Of no size: HDF5 makes a file where it finds none.
+        super().__init__(os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666), 0)
+        try_lock(self._fd, OWNER)
+        os.pwrite(self._fd, b"\0" * PAGE, 0)
+        self._committed = self._reached = PAGE
+        """Bytes of the file, and the most that it ever had: HDF5 gives bytes at the end back, and takes them again."""
+        self._dirty: dict[int, bytearray] = {}
+        """Pages as HDF5 wants them, not committed."""
+        self._waiting: dict[int, bytes] = {}
+        """Pages that are committed and stand in the journal only."""
+        self._journal = (0, 0)
+        self._number = 0
+
+    # --- what h5py calls ----------------------------------------------------------------------------------
+
+    def writable(self):
+        return True
 
     def readinto(self, buffer):
         view = memoryview(buffer).cast("B")
@@ -95,12 +109,6 @@ class DurableFile(io.RawIOBase):
 
     def flush(self):
         """Nothing: `commit` decides what reaches the disk."""
-
-    def close(self):
-        """Let go of the file. What is not committed is forgotten."""
-        if not self.closed:
-            os.close(self._fd)
-        super().close()
 
     # --- bringing it to the disk --------------------------------------------------------------------------
 
@@ -182,33 +190,18 @@ class DurableFile(io.RawIOBase):
         return os.pread(self._fd, PAGE, page * PAGE).ljust(PAGE, b"\0")
 
 
-class DurableReader(io.RawIOBase):
+class DurableReader(_Seekable):
     """What was committed into a file, as it was when it was opened; any other file as it is. A reader only."""
 
     def __init__(self, path):
-        super().__init__()
-        self._fd = os.open(path, os.O_RDONLY)
+        fd = os.open(path, os.O_RDONLY)
         try:
-            try_lock(self._fd, READERS, shared=True, wait=True)
-            self._pages = _journal_pages(self._fd)
-            self._size = os.fstat(self._fd).st_size
+            try_lock(fd, READERS, shared=True, wait=True)
+            self._pages = _journal_pages(fd)
+            super().__init__(fd, os.fstat(fd).st_size)
         except BaseException:
-            os.close(self._fd)
+            os.close(fd)
             raise
-        self._position = 0
-
-    def readable(self):
-        return True
-
-    def seekable(self):
-        return True
-
-    def seek(self, offset, whence=os.SEEK_SET):
-        self._position = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._position, os.SEEK_END: self._size}[whence]
-        return self._position
-
-    def tell(self):
-        return self._position
 
     def readinto(self, buffer):
         view = memoryview(buffer).cast("B")
@@ -224,11 +217,6 @@ class DurableReader(io.RawIOBase):
                 view[at : at + stop - start] = self._pages[page][start:stop]
         self._position += len(view)
         return len(view)
-
-    def close(self):
-        if not self.closed:
-            os.close(self._fd)
-        super().close()
 
 
 def in_use(path) -> bool:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxshell.results.checked import read_text, reading
+from jaxshell.results.checked import reading, run_of
 from jaxshell.results.quaternions import quaternions_to_matrices
 
 Array = jax.Array | np.ndarray
@@ -73,7 +73,7 @@ def _all(frames: StoredFrames, name: str) -> jax.Array:
 def _read(frames: StoredFrames, name: str, numbers: list[int] | None = None) -> np.ndarray:
     """All frames, or those with the given numbers in their order. Raises ValueError where another run replaced them."""
     with reading(frames.path) as file:
-        if (read_text(file, "run") if "run" in file.attrs else "") != frames.run:
+        if run_of(file) != frames.run:
             raise ValueError(f"{frames.path} holds another run by now: its frames are not those of this solution.")
         dataset = file["frames"][name]
         if numbers is None:

@@ -35,7 +35,17 @@ from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import require_float64
 from jaxshell.numerics.signals import LostOutput, held
 from jaxshell.results import checked
-from jaxshell.results.checked import extend, growing, read_text, reading, write_array, write_attribute, write_text
+from jaxshell.results.checked import (
+    extend,
+    growing,
+    has,
+    read_text,
+    reading,
+    run_of,
+    write_array,
+    write_attribute,
+    write_text,
+)
 from jaxshell.results.claim import Claim
 from jaxshell.results.frames import StoredFrames
 from jaxshell.results.output import Output
@@ -261,13 +271,12 @@ def _solution(file, scene: Scene, path) -> Solution:
         raise RuntimeError("it holds no step, not even the start")
     _check_frames(frames, scene.mesh.n_nodes)
     ended = "result" in file.attrs
-    stats = Stats(tuples(_json_table(read_text(file, "stats" if _has(file, "stats") else "settings"))))
+    stats = Stats(tuples(_json_table(read_text(file, "stats" if has(file, "stats") else "settings"))))
     times = jnp.asarray(single["times"][:k])
     result = read_text(file, "result") if ended else "interrupted"
     if result not in result_names():
         raise RuntimeError(f"its result is {result!r}")
     message = read_text(file, "message") if ended else _INTERRUPTED.format(steps=k - 1, time=float(times[-1]))
-    run = read_text(file, "run") if "run" in file.attrs else ""
     state, newton = (
         {name: jnp.asarray(d[()]) for name, d in file[group].items()} if group in file else None
         for group in ("state", "newton")
@@ -282,7 +291,7 @@ def _solution(file, scene: Scene, path) -> Solution:
         momentum=Momentum(**{name: jnp.asarray(d[:k]) for name, d in momentum.items()}),
         iterations=jnp.asarray(single["iterations"][:k]),
         frame_times=jnp.asarray(frames["times"][:f]),
-        frames=StoredFrames(str(Path(path).absolute()), run, f),
+        frames=StoredFrames(str(Path(path).absolute()), run_of(file), f),
         result=getattr(RESULTS, result),
         message=message,
         stats=stats,
@@ -353,10 +362,6 @@ def _json_table(text: str) -> dict:
     if not isinstance(table, dict):
         raise RuntimeError(f"its settings are {text[:40]!r}")
     return table
-
-
-def _has(group, name: str) -> bool:
-    return name in group or name in group.attrs
 
 
 def _dataset_name(label: str) -> str:

@@ -16,7 +16,7 @@ from jaxshell.model.scene import Defaults, Initial, Scene
 from jaxshell.model.sections import SECTIONS
 from jaxshell.model.supports import Support
 from jaxshell.numerics.frozen import Frozen
-from jaxshell.results.checked import read_text, write_array, write_attribute, write_text
+from jaxshell.results.checked import has, read_text, write_array, write_attribute, write_text
 
 _KINDS = {kind.__name__: kind for kind in (Mesh, *SECTIONS, Support, History, Initial, *LOADS)}
 _TEXT = "json:"
@@ -67,7 +67,7 @@ def _scene(group) -> Scene:
         tuple(_read_object(group[name][str(position)]) for position in range(len(group[name])))
         for name in ("supports", "loads")
     )
-    defaults = json.loads(read_text(group, "defaults")) if _has(group, "defaults") else None
+    defaults = json.loads(read_text(group, "defaults")) if has(group, "defaults") else None
     return Scene(
         _read_object(group["mesh"]),
         _read_object(group["section"]),
@@ -78,10 +78,6 @@ def _scene(group) -> Scene:
         watch={label: (node, component) for label, node, component in json.loads(read_text(group, "watch"))},
         defaults=None if defaults is None else Defaults(**tuples(defaults)),
     )
-
-
-def _has(group, name: str) -> bool:
-    return name in group or name in group.attrs
 
 
 def _write_field(group, name: str, value) -> None:
