@@ -110,11 +110,10 @@ def is_traced(value) -> bool:
 
 def _numbers(name: str, value, wanted: str = "a number or an array of numbers") -> Any:
     """`value` as an array, of JAX where a part of it is one. Raises ValueError unless it is numbers throughout."""
-    wrong = ValueError(f"{name} must be {wanted}, but it is {shown(value)}.")
     listed = isinstance(value, list | tuple | range)
     entries = list(_entries(value)) if listed else [value]
     if not all(map(_is_numeric, entries)):
-        raise wrong
+        raise ValueError(f"{name} must be {wanted}, but it is {shown(value)}.")
     try:
         if listed and any(isinstance(entry, jax.Array) for entry in entries):
             return jnp.asarray(value)
