@@ -24,10 +24,21 @@ if TYPE_CHECKING:
         GeneralizedEnergyMomentum,
         Newmark,
     )
-    from jaxshell.model.loads import EdgeForce, Gravity, History, NodalForce, NodalMoment, NormalForce, Pressure
+    from jaxshell.model.loads import (
+        EdgeForce,
+        Gravity,
+        History,
+        InitialStrain,
+        NodalForce,
+        NodalMoment,
+        NormalForce,
+        Pressure,
+        Thermal,
+    )
+    from jaxshell.model.materials import Isotropic, Orthotropic
     from jaxshell.model.mesh import Mesh, structured_triangles
     from jaxshell.model.scene import Initial, Scene
-    from jaxshell.model.sections import Section
+    from jaxshell.model.sections import Cylindrical, GeneralSection, Laminate, Ply, Section
     from jaxshell.model.supports import Support, clamped, pinned, symmetry
     from jaxshell.results.output import Output
     from jaxshell.results.solution import RESULTS, Energy, Momentum, Solution
@@ -44,15 +55,20 @@ __all__ = [
     "BucklingModes",
     "CentralDifference",
     "Checkpointed",
+    "Cylindrical",
     "Dense",
     "EdgeForce",
     "Energy",
     "EnergyMomentum",
+    "GeneralSection",
     "GeneralizedAlpha",
     "GeneralizedEnergyMomentum",
     "Gravity",
     "History",
     "Initial",
+    "InitialStrain",
+    "Isotropic",
+    "Laminate",
     "Mesh",
     "Modes",
     "Momentum",
@@ -61,8 +77,10 @@ __all__ = [
     "NodalForce",
     "NodalMoment",
     "NormalForce",
+    "Orthotropic",
     "Output",
     "Pardiso",
+    "Ply",
     "Pressure",
     "Scene",
     "Section",
@@ -71,6 +89,7 @@ __all__ = [
     "StepControl",
     "Stored",
     "Support",
+    "Thermal",
     "clamped",
     "gradients",
     "linear_buckling",
@@ -91,7 +110,18 @@ _HOMES = {
     "analyses.arc_length": ["solve_arc_length"],
     "analyses.driver": ["SimulationError"],
     "solvers.linear_solver": ["KLU", "Dense", "Pardiso"],
-    "model.loads": ["EdgeForce", "Gravity", "History", "NodalForce", "NodalMoment", "NormalForce", "Pressure"],
+    "model.loads": [
+        "EdgeForce",
+        "Gravity",
+        "History",
+        "InitialStrain",
+        "NodalForce",
+        "NodalMoment",
+        "NormalForce",
+        "Pressure",
+        "Thermal",
+    ],
+    "model.materials": ["Isotropic", "Orthotropic"],
     "model.mesh": ["Mesh", "structured_triangles"],
     "gradients": ["gradients", "Checkpointed", "Stored"],
     "methods": [
@@ -110,7 +140,7 @@ _HOMES = {
     "model.scene": ["Initial", "Scene"],
     "plotting": ["plotting"],
     "scenes": ["scenes"],
-    "model.sections": ["Section"],
+    "model.sections": ["Cylindrical", "GeneralSection", "Laminate", "Ply", "Section"],
     "analyses.simulation": ["simulate"],
     "results.solution": ["RESULTS", "Energy", "Momentum", "Solution"],
     "analyses.statics": ["reactions", "solve_static"],

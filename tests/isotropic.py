@@ -2,7 +2,8 @@
 
 from jaxshell.elements import bending, membrane
 from jaxshell.elements.corotational import Element
-from jaxshell.model.sections.isotropic import isotropic, plane_stress_matrix
+from jaxshell.model.materials.isotropic import plane_stress_matrix
+from jaxshell.model.sections.isotropic import isotropic
 
 __all__ = ["bending_stiffness", "element", "membrane_stiffness", "plane_stress_matrix"]
 

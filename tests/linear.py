@@ -7,7 +7,7 @@ import scipy.sparse as sparse
 from isotropic import bending_stiffness, membrane_stiffness
 from scipy.sparse.linalg import spsolve
 
-from jaxshell.elements.corotational import local_frame
+from jaxshell.numerics.triangles import local_frame
 
 _BATCH = 64
 _MEMBRANE = np.array([0, 1, 5, 6, 7, 11, 12, 13, 17])

@@ -144,7 +144,7 @@ def test_forces_and_moments_are_in_balance_at_the_end_of_each_step(method):
 def kicks(model, state):
     """Internal forces, masses and rates of the nodes, and where supports hold them."""
     place = jnp.zeros(6 * N).at[model.tables.held].set(model.held_displacement(state.time))
-    return model.internal_force(state.x, state.R), state.mass, state.rates, place.reshape(N, 6)
+    return model.internal_force(state.x, state.R, state.time), state.mass, state.rates, place.reshape(N, 6)
 
 
 @settings(PROFILE, max_examples=25)

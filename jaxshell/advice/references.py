@@ -161,7 +161,7 @@ def fingerprint(scene: Scene) -> Float[np.ndarray, "7"]:
 def nodal_weights(scene: Scene) -> Float[np.ndarray, " n"]:
     """Each node's share of the mass, for linear displacements: a third of its elements'."""
     x0, triangles = np.asarray(scene.mesh.nodes), scene.mesh.connectivity.array
-    mass = triangle_areas(x0, triangles) * np.asarray(scene.section.mass_per_area(scene.mesh))
+    mass = triangle_areas(x0, triangles) * np.asarray(scene.section.area_masses(scene.mesh))
     share = np.zeros(len(x0))
     np.add.at(share, triangles.ravel(), np.repeat(mass, 3))
     return share / share.sum()

@@ -118,8 +118,8 @@ def natural_frequencies(
 def linear_buckling(scene: Scene, count: int = 5) -> BucklingModes:
     """Lowest multiples of the scene's loads at which the linear stresses make the stiffness singular.
 
-    The loads and prescribed displacements act at their full value, whatever their histories; K_σ holds the
-    geometric stiffness of the linear solution and the stiffness of follower pressure. Good where the shell
+    The loads, initial strains and prescribed displacements act at their full value, whatever their histories; K_σ
+    holds the geometric stiffness of the linear solution and the stiffness of follower pressure. Good where the shell
     deforms little before it buckles; else follow the path with `solve_arc_length`. Only positive factors are
     sought: turn the loads round for the others. Differentiable like `natural_frequencies`.
 
@@ -171,7 +171,7 @@ def _vibration_matrices(scene: Scene, tables: Tables, state, time):
     model = Model.build(scene, tables)
     placed = model.x0 + state[0], state[1]
     x, R = model.gather(placed)
-    K = jax.vmap(corotational.tangent_stiffness)(x, R, model.elements)
+    K = jax.vmap(corotational.tangent_stiffness)(x, R, model.elements_at((1.0, time)))
     following = model.following_stiffness(*placed, time)
     M = jax.vmap(mass_matrix)(R, model.elements)
     elements = model.elements
@@ -191,6 +191,9 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
     moved = model.expand(jnp.zeros(model.tables.free.shape), held).reshape(n, 6)
     internal = model.assemble_vector(jnp.einsum("mij,mj->mi", matrices, model.gather(moved).reshape(-1, 18)))
     loads = model.external_load(*at_rest, 1.0)
+    elements = model.elements_at((1.0, 1.0))
+    if model.rests:
+        loads = loads - model.internal_force(*at_rest, 1.0)
     K = model.assemble_matrix(matrices)
     free = Linear(default_solver(), handle, model.units).solve_once(K, model.free(loads - internal))
     u = model.gather(model.expand(free, held).reshape(n, 6))
@@ -198,10 +201,13 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
     def stress_stiffness(x, R, u, element):
         kin = corotational.kinematics(x, R, element)
         local = jnp.einsum("ij,akj->aki", kin.frame, u.reshape(3, 2, 3)).reshape(18)
-        f = corotational.stresses(corotational.deformation_gradient(kin) @ local, element)
+        deformations = corotational.deformation_gradient(kin) @ local
+        if element.rest is not None:
+            deformations = deformations - element.rest
+        f = corotational.stresses(deformations, element)
         return corotational.stiffness(kin, f, element, None, material=0.0)
 
-    K_sigma = jax.vmap(stress_stiffness)(x, R, u, model.elements)
+    K_sigma = jax.vmap(stress_stiffness)(x, R, u, elements)
     return K, model.assemble_matrix(K_sigma, model.following_stiffness(*at_rest, 1.0)), model.units
 
 

@@ -56,6 +56,8 @@ class Model(eqx.Module):
     """Each field with a leading axis over the m elements."""
     dead_loads: tuple[tuple[Float[Array, "n 6"], History], ...]
     contributions: tuple[Acting, ...]
+    rests: tuple[tuple[Float[Array, "m 12"], History], ...]
+    """Deformations at which the elements are free of stress, for every initial strain of the scene."""
     moving: tuple[Support, ...]
     """The supports with a prescribed motion."""
     size: Float[Array, ""]
@@ -75,7 +77,24 @@ class Model(eqx.Module):
         surface = Surface(x0, tables.triangles, elements.mass_per_area, elements.area, elements.frame[:, 2])
         moving = tuple(support for support in scene.supports if support.displacement is not None)
         size = jnp.linalg.norm(jnp.max(x0, axis=0) - jnp.min(x0, axis=0))
-        return cls(x0, elements, dead, _acting(scene, tables, surface), moving, size, tables)
+        return cls(x0, elements, dead, _acting(scene, tables, surface), _rests(scene, elements), moving, size, tables)
+
+    def elements_at(self, *weighted: tuple[Any, Any]) -> Element:
+        """The elements with the mean of their stress-free states at some times: (weight, time) each.
+
+        Where the scene has no initial strains, `elements` themselves.
+        """
+        if not self.rests:
+            return self.elements
+        rest = sum((weight * self.rest(time) for weight, time in weighted), jnp.zeros(()))
+        return eqx.tree_at(lambda e: e.rest, self.elements, rest, is_leaf=lambda leaf: leaf is None)
+
+    def rest(self, time) -> Float[Array, "m 12"]:
+        """The deformations at which the elements are free of stress, of a scene that has initial strains."""
+        found = jnp.zeros((len(self.elements.area), 12))
+        for deformations, history in self.rests:
+            found = found + history(time) * deformations
+        return found
 
     @property
     def units(self) -> Float[Array, " nf"]:
@@ -168,19 +187,44 @@ class Model(eqx.Module):
         in the stiffness."""
         return [(acting, -acting.stiffness(acting.places(x, R, time))) for acting in self.contributions]
 
-    def strain_energy(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"]) -> Float[Array, ""]:
+    def strain_energy(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, ""]:
         """Strain energy of the shell, eq. (61) summed over the elements."""
 
         def one(x, R, element):
             return corotational.strain_energy(corotational.kinematics(x, R, element).deformations, element)
 
-        return jnp.sum(jax.vmap(one)(self.gather(x), self.gather(R), self.elements))
+        return jnp.sum(jax.vmap(one)(self.gather(x), self.gather(R), self.elements_at((1.0, time))))
 
-    def internal_force(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"]) -> Float[Array, "n 6"]:
+    def work_of_rests(self, before: tuple, after: tuple) -> Float[Array, ""]:
+        """Work done by initial strains that change in a step, -Δe⁰·f with the mean stresses f of its ends.
+
+        `before` and `after` are (x, R, time). Zero, and not computed, where the scene has no initial strains.
+        """
+        if not self.rests:
+            return jnp.zeros(())
+
+        def stresses(x, R, time):
+            def one(x, R, element):
+                return corotational.stresses(corotational.kinematics(x, R, element).deformations, element)
+
+            return jax.vmap(one)(self.gather(x), self.gather(R), self.elements_at((1.0, time)))
+
+        change = self.rest(after[2]) - self.rest(before[2])
+        return -0.5 * jnp.sum(change * (stresses(*before) + stresses(*after)))
+
+    def internal_force(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, "n 6"]:
         """Nodal internal forces and moments, eq. (70) assembled."""
         return self.assemble_vector(
-            jax.vmap(corotational.internal_force)(self.gather(x), self.gather(R), self.elements)
+            jax.vmap(corotational.internal_force)(self.gather(x), self.gather(R), self.elements_at((1.0, time)))
         )
+
+
+def _rests(scene: Scene, elements: Element) -> tuple[tuple[Float[Array, "m 12"], History], ...]:
+    found = []
+    for load in scene.initial_strains:
+        strain, curvature = load.strains(scene.section, scene.mesh)
+        found.append((jax.vmap(corotational.constant_strains)(elements.coordinates, strain, curvature), load.history))
+    return tuple(found)
 
 
 def structure_of(scene: Scene) -> Structure:

@@ -26,8 +26,29 @@ def bending_stiffness(xy: Float[Array, "3 2"], D: Float[Array, "3 3"]) -> Float[
     Returns the symmetric stiffness of rank 6 [force/length, force, force·length]; rotations in rad.
     Source: Batoz, Bathe & Ho 1980.
     """
+    # The curvatures are linear, so that the rule of the three edge midpoints integrates BᵀDB exactly.
+    stiffness = jnp.zeros((9, 9))
+    for B in _curvatures(xy):
+        stiffness = stiffness + B.T @ D @ B
+    stiffness = _area(xy) / 3.0 * stiffness
+    return 0.5 * (stiffness + stiffness.T)
+
+
+def bending_strains(xy: Float[Array, "3 2"]) -> Float[Array, "3 3 9"]:
+    """Curvatures (κxx, κyy, 2κxy) = (βx,x, βy,y, βx,y + βy,x), β = (θy, -θx), at the midpoints of the edges 12, 23, 31.
+
+    A fibre at z is strained by z times these.
+    """
+    return jnp.stack(_curvatures(xy))
+
+
+def _area(xy: Float[Array, "3 2"]) -> Float[Array, ""]:
     first_edge, last_edge = xy[1] - xy[0], xy[2] - xy[0]
-    area = 0.5 * (first_edge[0] * last_edge[1] - first_edge[1] * last_edge[0])
+    return 0.5 * (first_edge[0] * last_edge[1] - first_edge[1] * last_edge[0])
+
+
+def _curvatures(xy: Float[Array, "3 2"]) -> list[Float[Array, "3 9"]]:
+    area = _area(xy)
     opposite = xy[jnp.array([2, 0, 1])] - xy[jnp.array([1, 2, 0])]
     gradients = jnp.stack([-opposite[:, 1], opposite[:, 0]], axis=1) / (2.0 * area)  # of N1, N2, N3
 
@@ -43,15 +64,12 @@ def bending_stiffness(xy: Float[Array, "3 2"], D: Float[Array, "3 3"]) -> Float[
         along = 1.5 * (w[j] - w[i]) + 0.75 * (e @ (beta[i] + beta[j]))
         excess.append(-jnp.outer(e, along) / (e @ e))
 
-    # The curvatures are linear, so that the rule of the three edge midpoints integrates BᵀDB exactly.
     linear_part = jnp.einsum("ax,abf->xbf", gradients, beta)
-    stiffness = jnp.zeros((9, 9))
+    found = []
     for p, q in EDGES:
         N = [0.5 if a in (p, q) else 0.0 for a in range(3)]
         slope = linear_part  # slope[x, b]: derivative by x of β_b
         for (i, j), delta in zip(EDGES, excess, strict=True):
             slope = slope + 4.0 * jnp.einsum("x,bf->xbf", N[i] * gradients[j] + N[j] * gradients[i], delta)
-        B = jnp.stack([slope[0, 0], slope[1, 1], slope[0, 1] + slope[1, 0]])
-        stiffness = stiffness + B.T @ D @ B
-    stiffness = area / 3.0 * stiffness
-    return 0.5 * (stiffness + stiffness.T)
+        found.append(jnp.stack([slope[0, 0], slope[1, 1], slope[0, 1] + slope[1, 0]]))
+    return found

@@ -21,13 +21,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxshell.elements.bending import bending_stiffness
-from jaxshell.elements.membrane import membrane_stiffness
+from jaxshell.elements.bending import bending_stiffness, bending_strains
+from jaxshell.elements.membrane import membrane_stiffness, membrane_strains
 from jaxshell.model.sections import Resultants
 from jaxshell.numerics import rotations
 from jaxshell.numerics.checks import Real
 from jaxshell.numerics.fusion import formed
-from jaxshell.numerics.products import columns_times, cross, dot, product, transposed_product
+from jaxshell.numerics.products import columns_times, dot, product, transposed_product
+from jaxshell.numerics.triangles import local_frame
 
 # Rows of the 9×9 membrane (u, v, θz per node) and bending (w, θx, θy per node) stiffness that are kept.
 _MEMBRANE_KEPT = np.array([3, 6, 7, 2, 5, 8])
@@ -46,28 +47,30 @@ class Element(eqx.Module):
     area: Float[Array, ""]
     section: Resultants
     """What it was built from, in its own axes."""
+    K_coupling: Float[Array, "6 6"] | None = None
+    """Of a section that couples membrane (rows) and bending (columns); else None."""
+    rest: Float[Array, "12"] | None = None
+    """The deformations at which it is free of stress, where initial strains act; else None."""
 
     @classmethod
     def build(cls, x0: Float[Array, "3 3"], section: Resultants) -> "Element":
-        """From nodal positions x0 of the stress-free shape and the section's resultants.
-
-        Raises ValueError for a section that couples membrane and bending, which this element does not do.
-        """
-        if section.B is not None:
-            raise ValueError("A section with coupling B of membrane and bending needs an element that has it.")
+        """From nodal positions x0 of the stress-free shape and the section's resultants."""
         frame, coordinates = local_frame(x0)
-        length, bx, by = coordinates
-        zero = jnp.zeros_like(length)
-        xy = jnp.stack([zero, zero, length, zero, bx, by]).reshape(3, 2)
+        xy = corners(coordinates)
         membrane = membrane_stiffness(xy, section.A, section.beta0)
         bending = bending_stiffness(xy, section.D)
+        area, coupling = 0.5 * coordinates[0] * coordinates[2], None
+        if section.B is not None:
+            membrane_B, bending_B = strain_matrices(coordinates, section.beta0)
+            coupling = area / 3.0 * jnp.einsum("pij,ik,pkl->jl", membrane_B, section.B, bending_B)
         return cls(
             coordinates,
             frame,
             membrane[_MEMBRANE_KEPT][:, _MEMBRANE_KEPT],
             bending[_BENDING_KEPT][:, _BENDING_KEPT],
-            0.5 * length * by,
+            area,
             section,
+            coupling,
         )
 
     @property
@@ -79,6 +82,43 @@ class Element(eqx.Module):
     def rotary_inertia(self) -> Float[Array, "*m"]:
         """ρh³/12, the two equal entries of I_ρ⁰, eq. (32)."""
         return self.section.rotary_inertia
+
+
+def corners(coordinates: Float[Array, "3"]) -> Float[Array, "3 2"]:
+    """The corners in the element's plane, from l, b̄x, b̄y."""
+    length, bx, by = coordinates
+    zero = jnp.zeros_like(length)
+    return jnp.stack([zero, zero, length, zero, bx, by]).reshape(3, 2)
+
+
+def strain_matrices(coordinates: Float[Array, "3"], beta0) -> tuple[Float[Array, "3 3 6"], Float[Array, "3 3 6"]]:
+    """Membrane strains from the first six deformations and curvatures from the last six, at mid-edges 12, 23, 31."""
+    xy = corners(coordinates)
+    return membrane_strains(xy, beta0)[:, :, _MEMBRANE_KEPT], bending_strains(xy)[:, :, _BENDING_KEPT]
+
+
+def constant_strains(
+    coordinates: Float[Array, "3"], strain: Float[Array, "3"], curvature: Float[Array, "3"]
+) -> Float[Array, "12"]:
+    """The deformations e of an element with the strain (εxx, εyy, γxy) and the curvature (κxx, κyy, 2κxy) everywhere.
+
+    The frame follows edge 1-2 and the three nodes: u = εxx x + γ y, v = εyy y, and θ̄z = -γ/2; the deflection
+    w = -½ (κxx x² + κyy y² + 2κxy xy) less the plane through the nodes, θ̄x = w,y, θ̄y = -w,x.
+    """
+    length, bx, by = coordinates
+    exx, eyy, shear = strain
+    kxx, kyy, twist = curvature
+    metric = jnp.stack([exx * length, exx * bx + shear * by, eyy * by])
+    drilling = jnp.broadcast_to(-0.5 * shear, (3,))
+
+    def deflection(x, y):
+        return -0.5 * (kxx * x * x + kyy * y * y + twist * x * y)
+
+    along = deflection(length, 0.0) / length
+    across = (deflection(bx, by) - along * bx) / by
+    x, y = corners(coordinates).T
+    tilts = jnp.stack([-(kyy * y + 0.5 * twist * x) - across, kxx * x + 0.5 * twist * y + along], axis=1)
+    return jnp.concatenate([metric, drilling, tilts.reshape(6)])
 
 
 class Kinematics(NamedTuple):
@@ -93,18 +133,7 @@ class Kinematics(NamedTuple):
     H: Float[Array, "3 3 3"]
     """H(θ̄_da), eq. (9)."""
     deformations: Float[Array, "12"]
-    """e, see the top of this file."""
-
-
-def local_frame(x: Float[Array, "3 3"]) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
-    """Rows e1 ∥ edge 1-2, e2, e3 normal, eq. (54), and the local coordinates (l, b̄x, b̄y), from x (3, 3)."""
-    a, b = x[1] - x[0], x[2] - x[0]
-    length = jnp.sqrt(jnp.sum(a * a))
-    normal = cross(a, b)
-    double_area = jnp.sqrt(jnp.sum(normal * normal))
-    e1, e3 = a / length, normal / double_area
-    frame = jnp.stack([e1, cross(e3, e1), e3])
-    return frame, jnp.stack([length, jnp.sum(b * e1), double_area / length])
+    """e, see the top of this file, less those of the element's stress-free state where initial strains act."""
 
 
 def kinematics(x: Float[Array, "3 3"], R: Float[Array, "3 3 3"], element: Element) -> Kinematics:
@@ -117,14 +146,23 @@ def kinematics(x: Float[Array, "3 3"], R: Float[Array, "3 3 3"], element: Elemen
     theta = jax.vmap(deformational_rotation)(R)
     H = jax.vmap(rotations.H)(theta)
     deformations = jnp.concatenate([coordinates - element.coordinates, theta[:, 2], theta[:, :2].reshape(6)])
+    if element.rest is not None:
+        deformations = deformations - element.rest
     return Kinematics(frame, coordinates, theta, H, deformations)
 
 
 def stresses(deformations, element: Element) -> Float[Array, "12"]:
     """f̂ = K̂ e, the forces conjugate to the deformations: eq. (60) for the entries kept."""
-    return jnp.concatenate(
-        [product(element.K_membrane, deformations[:6]), product(element.K_bending, deformations[6:])]
-    )
+    return jnp.concatenate(times_stiffness(element, deformations[:6], deformations[6:]))
+
+
+def times_stiffness(element: Element, membrane: Float[Array, "6 *c"], bending: Float[Array, "6 *c"]):
+    """K̂ times columns, given and returned in their membrane and bending rows."""
+    stretched, bent = product(element.K_membrane, membrane), product(element.K_bending, bending)
+    if element.K_coupling is None:
+        return stretched, bent
+    coupled = product(element.K_coupling, bending), product(element.K_coupling.T, membrane)
+    return stretched + coupled[0], bent + coupled[1]
 
 
 def strain_energy(deformations, element: Element) -> Float[Array, ""]:
@@ -299,7 +337,7 @@ def stiffness(
     Lambda, G, parts = formed(
         (deformation_gradient(kin), frame_spin(kin), geometric_parts(kin, f, local_forces(kin, f)))
     )
-    K_Lambda = [product(element.K_membrane, Lambda[:6]), product(element.K_bending, Lambda[6:])]
+    K_Lambda = times_stiffness(element, Lambda[:6], Lambda[6:])
     left = jnp.concatenate([Lambda, parts.X.T, G])
     right = jnp.concatenate([material * jnp.concatenate(K_Lambda), geometric * G, geometric * parts.Y])
     left, right = formed((left, right))

@@ -285,11 +285,9 @@ def _local_tangent(state: StepState, start: StepStart, element: Element, dissipa
     """Derivative of the forces by e' without that of c."""
     kin, began, factor = state.kin, start.kin, 0.5 + dissipation
     # Stresses by e': metric (3, 12) and moments (k, 3, 12).
-    Km, Kb = element.K_membrane, element.K_bending.reshape(6, 3, 2)
     H_z, H_xy = kin.H[:, 2], kin.H[:, :2]
-    membrane = factor * jnp.concatenate([Km[:, :3], (Km[:, 3:, None] * H_z[None]).reshape(6, 9)], axis=1)
-    tilt = Kb[:, :, 0, None] * H_xy[:, 0] + Kb[:, :, 1, None] * H_xy[:, 1]
-    tilt = factor * jnp.concatenate([jnp.zeros((6, 3)), tilt.reshape(6, 9)], axis=1)
+    membrane, tilt = _stress_derivatives(element, H_z, H_xy)
+    membrane, tilt = factor * membrane, factor * tilt
     metric, moments = membrane[:3], jnp.concatenate([tilt.reshape(3, 2, 12), membrane[3:, None]], axis=1)
 
     # p_ki by the moments (B), by the metric and by ω̄_k at fixed stresses.
@@ -321,6 +319,26 @@ def _local_tangent(state: StepState, start: StepStart, element: Element, dissipa
     (a, b), total = state.edges[:, :, None], p[0] + p[1] + p[2]
     F = jnp.stack([a * s[0] + b * s[1] + total[0], a * s[1] + b * s[2] + total[1]])
     return jnp.concatenate([F.reshape(6, 12), _times_edges(p, state.edges).reshape(9, 12)])
+
+
+def _stress_derivatives(element: Element, H_z: Float[Array, "3 3"], H_xy: Float[Array, "3 2 3"]):
+    """K̂ ∂e/∂e' in its membrane and bending rows, (6, 12) each."""
+    Km, Kb = element.K_membrane, element.K_bending
+    if element.K_coupling is None:
+        Kb = Kb.reshape(6, 3, 2)
+        membrane = jnp.concatenate([Km[:, :3], (Km[:, 3:, None] * H_z[None]).reshape(6, 9)], axis=1)
+        tilt = Kb[:, :, 0, None] * H_xy[:, 0] + Kb[:, :, 1, None] * H_xy[:, 1]
+        return membrane, jnp.concatenate([jnp.zeros((6, 3)), tilt.reshape(6, 9)], axis=1)
+    K = jnp.concatenate(
+        [
+            jnp.concatenate([Km, element.K_coupling], axis=1),
+            jnp.concatenate([element.K_coupling.T, Kb], axis=1),
+        ]
+    )
+    tilts = K[:, 6:].reshape(12, 3, 2)
+    by_spins = K[:, 3:6, None] * H_z + tilts[:, :, 0, None] * H_xy[:, 0] + tilts[:, :, 1, None] * H_xy[:, 1]
+    found = jnp.concatenate([K[:, :3], by_spins.reshape(12, 9)], axis=1)
+    return found[:6], found[6:]
 
 
 def _variations(kin: Kinematics, C) -> Float[Array, "12 15"]:

@@ -103,7 +103,7 @@ class CentralDifference(Method):
         x, R, v, omega = initial_motion(model, scene)
         time, zero = jnp.asarray(time, float), jnp.zeros(())
         mass, rates = lumped_mass(model), jnp.concatenate([v, omega], axis=1)
-        internal, strain = _internal(model, x, R)
+        internal, strain = _internal(model, x, R, time)
         energy = strain + 0.5 * jnp.sum(mass * rates**2)
         return ExplicitState(  # pyright: ignore[reportCallIssue]  # v is a property
             time=time,
@@ -131,10 +131,11 @@ class CentralDifference(Method):
             middle = middle.reshape(-1).at[held].set(moved / dt).reshape(-1, 6)
         u = dt * middle
         x, R = state.x + u[:, :3], jnp.einsum("nij,njk->nik", jax.vmap(exp)(u[:, 3:]), state.R)
-        load, (internal, strain) = model.external_load(x, R, end), _internal(model, x, R)
+        load, (internal, strain) = model.external_load(x, R, end), _internal(model, x, R, end)
         rates = middle + 0.5 * dt * acceleration(load, internal)
         # Work by the trapezoidal rule; that of a moving support is done on the shell and on the mass it carries.
         work = state.external_work + 0.5 * jnp.sum((state.load + load) * u)
+        work = work + model.work_of_rests((state.x, state.R, state.time), (x, R, end))
         if model.moving:
             against = 0.5 * (state.internal + internal - state.load - load) * u
             carried = 0.5 * mass * (rates**2 - state.rates**2)
@@ -181,7 +182,7 @@ def lumped_mass(model: Model) -> Float[Array, "n 6"]:
     return model.tables.nodal(corner.reshape(-1, 6))
 
 
-def _internal(model: Model, x, R) -> tuple[Float[Array, "n 6"], Float[Array, ""]]:
+def _internal(model: Model, x, R, time) -> tuple[Float[Array, "n 6"], Float[Array, ""]]:
     """Internal forces and moments, and the strain energy, from one pass over the elements."""
 
     def one(x, R, element):
@@ -190,7 +191,7 @@ def _internal(model: Model, x, R) -> tuple[Float[Array, "n 6"], Float[Array, ""]
         force = corotational.to_global(corotational.local_forces(kin, f), kin)
         return force, 0.5 * jnp.sum(kin.deformations * f)
 
-    force, energy = jax.vmap(one)(model.gather(x), model.gather(R), model.elements)
+    force, energy = jax.vmap(one)(model.gather(x), model.gather(R), model.elements_at((1.0, time)))
     return model.assemble_vector(force), jnp.sum(energy)
 
 
@@ -206,5 +207,5 @@ def _stable_step(scene: Scene, tables: Tables) -> Float[Array, ""]:
         scale = jnp.tile(jnp.repeat(1.0 / jnp.sqrt(third), 3), 3)
         return jnp.linalg.eigvalsh(0.5 * (K + K.T) * scale[:, None] * scale[None, :])[-1]
 
-    squares = jax.vmap(largest)(model.gather(x), model.gather(R), model.elements)
+    squares = jax.vmap(largest)(model.gather(x), model.gather(R), model.elements_at((1.0, 0.0)))
     return 2.0 / jnp.sqrt(jnp.max(squares))

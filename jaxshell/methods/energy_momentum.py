@@ -158,7 +158,7 @@ class EnergyMomentum(ImplicitMethod):
             return before + change - deformations(u)
 
         u_corners, last, x, R = model.gather((u, last, state.x, state.R))
-        data = begun.data._replace(excess=jax.vmap(excess)(u_corners, last, x, R, model.elements))
+        data = begun.data._replace(excess=jax.vmap(excess)(u_corners, last, x, R, begun.data.element))
         return self.matrices(model, state, begun._replace(data=data), u, tangent)
 
     def start(self, model: Model, scene, time) -> EnergyMomentumState:
@@ -183,17 +183,19 @@ class EnergyMomentum(ImplicitMethod):
         x, R, v, W = model.gather((state.x, state.R, state.v, state.W))
         normals = model.elements.frame[:, None, None, 2]
         motion = DirectorMotion(v, dot(R, normals), dot(W, normals))
-        kin = jax.vmap(corotational.kinematics)(x, R, model.elements)
-        data = ElementData(model.elements, StepStart(jax.vmap(edges_of)(x), kin), motion)
+        elements = model.elements_at((0.5, state.time), (0.5, state.time + dt))  # one stress-free state for the step
+        kin = jax.vmap(corotational.kinematics)(x, R, elements)
+        data = ElementData(elements, StepStart(jax.vmap(edges_of)(x), kin), motion)
         return Begun(data, Shared(dt, self.dissipation), middle(model.dead_load), state.time + dt)
 
     def finish(self, model: Model, state: EnergyMomentumState, dt, u, motion, begun) -> EnergyMomentumState:
         data, step = begun.data, begun.step
         work = self.work_of_loads(model, state, begun, motion, u)
+        work = work + model.work_of_rests((state.x, state.R, state.time), (motion.x, motion.R, begun.end))
         dissipated = state.dissipated
         if self._dissipates:
             x, R = model.gather((motion.x, motion.R))
-            kin = jax.vmap(corotational.kinematics)(x, R, model.elements)
+            kin = jax.vmap(corotational.kinematics)(x, R, data.element)
             change = kin.deformations - data.start.kin.deformations
             energies = jax.vmap(corotational.strain_energy)(change, model.elements)
             dissipated = dissipated + 2.0 * step.dissipation * jnp.sum(energies)
@@ -222,7 +224,7 @@ class EnergyMomentum(ImplicitMethod):
         kinetic = 0.5 * (jnp.sum(v * momentum) + jnp.sum(rates * spin))
         linear = jnp.sum(momentum, axis=(0, 1))
         angular = jnp.sum(jnp.cross(x, momentum) + jnp.cross(directors, spin), axis=(0, 1))
-        strain = model.strain_energy(state.x, state.R)
+        strain = model.strain_energy(state.x, state.R, state.time)
         return Observation(kinetic, strain, state.external_work, state.dissipated, linear, angular)
 
 

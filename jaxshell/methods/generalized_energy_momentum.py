@@ -171,9 +171,11 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             spins = seven_point.points_at_start(model, state.spins)
         elif self.inertia == "traditional":
             spins = model.gather(state.spins)
-        kin = jax.vmap(corotational.kinematics)(x, R, model.elements)
+        # One stress-free state for the step, weighted as the deformations are in eq. (93).
+        elements = model.elements_at((1.0 - factors.alpha_f, end), (factors.alpha_f, start))
+        kin = jax.vmap(corotational.kinematics)(x, R, elements)
         Lambda = jax.vmap(lambda kin: corotational.gradient_to_global(corotational.deformation_gradient(kin), kin))(kin)
-        data = ElementData(model.elements, kin, Lambda, v, a, R, spins)
+        data = ElementData(elements, kin, Lambda, v, a, R, spins)
         return Begun(data, Shared(factors, jnp.asarray(self.dissipation)), loads, end)
 
     def finish(self, model: Model, state: GEMState, dt, u, motion, begun) -> GEMState:
@@ -184,6 +186,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         elif self.inertia == "traditional":
             spins = jax.vmap(inertia.end_of_step, in_axes=(0, 0, None))(motion.theta, spins, factors)
         work = self.work_of_loads(model, state, begun, motion, u)
+        work = work + model.work_of_rests((state.x, state.R, state.time), (motion.x, motion.R, begun.end))
         return GEMState(
             time=begun.end,
             x=motion.x,
@@ -203,7 +206,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         if self.inertia == "traditional":
             turning, spin_momentum = traditional.energy_and_momentum(model, state.spins)
             kinetic, angular = kinetic + turning, angular + spin_momentum
-        strain = model.strain_energy(state.x, state.R)
+        strain = model.strain_energy(state.x, state.R, state.time)
         return Observation(kinetic, strain, state.external_work, jnp.zeros(()), linear, angular)
 
 

@@ -92,7 +92,7 @@ class ForceLevelMethod(ImplicitMethod):
         x, R, v, omega = initial_motion(model, scene)
         reaction = jnp.zeros(0)
         if model.moving:
-            force = model.internal_force(x, R) - model.external_load(x, R, jnp.asarray(time))
+            force = model.internal_force(x, R, time) - model.external_load(x, R, jnp.asarray(time))
             reaction = force.reshape(-1)[model.tables.held]
         return NewmarkState(
             time=jnp.asarray(time, float),
@@ -111,11 +111,12 @@ class ForceLevelMethod(ImplicitMethod):
         end = state.time + dt
         loads = (1.0 - factors.alpha_f) * model.dead_load(end)
         if not self.balance_at_end:
-            earlier = model.external_load(state.x, state.R, state.time) - model.internal_force(state.x, state.R)
+            before = state.x, state.R, state.time
+            earlier = model.external_load(*before) - model.internal_force(*before)
             loads = loads + factors.alpha_f * earlier
         v, a = model.gather((state.v, state.a))
         points = seven_point.points_at_start(model, state.spins)
-        return Begun(ElementData(model.elements, v, a, points), factors, loads, end)
+        return Begun(ElementData(model.elements_at((1.0, end)), v, a, points), factors, loads, end)
 
     def finish(self, model: Model, state: NewmarkState, dt, u, motion, begun) -> NewmarkState:
         factors = begun.step
@@ -123,6 +124,7 @@ class ForceLevelMethod(ImplicitMethod):
         ends = model.external_load(state.x, state.R, state.time)
         ends = ends + model.external_load(motion.x, motion.R, begun.end)
         work, reaction = 0.5 * jnp.sum(ends * u), state.reaction
+        work = work + model.work_of_rests((state.x, state.R, state.time), (motion.x, motion.R, begun.end))
         if model.moving:
             # The balance gives the reaction at t_{n+1-αf}; brought to the middle of the step, linearly.
             reaction = self.balance(model, state, begun, u).residual.reshape(-1)[model.tables.held]
@@ -143,7 +145,7 @@ class ForceLevelMethod(ImplicitMethod):
     def observe(self, model: Model, state: NewmarkState) -> Observation:
         """Energies and momenta of the end of the step, eqs. (27), (28), (34), (61)."""
         kinetic, linear, angular = seven_point.kinetic_and_momenta(model, state.x, state.v, state.spins)
-        strain = model.strain_energy(state.x, state.R)
+        strain = model.strain_energy(state.x, state.R, state.time)
         return Observation(kinetic, strain, state.external_work, jnp.zeros(()), linear, angular)
 
 

@@ -33,7 +33,7 @@ def initial_translational_acceleration(model: Model, x: Nodal, R: Float[Array, "
     with its diagonal reach round-off in some thirty products.
     """
     n = model.x0.shape[0]
-    force = model.external_load(x, R, time) - model.internal_force(x, R)
+    force = model.external_load(x, R, time) - model.internal_force(x, R, time)
     is_free = jnp.zeros(6 * n).at[model.tables.free].set(1.0).reshape(n, 6)[:, :3]
     mass = model.elements.mass_per_area * model.elements.area
 

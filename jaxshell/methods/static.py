@@ -116,7 +116,9 @@ class Static(ImplicitMethod):
     def begin(self, model: Model, state: StaticState, dt):
         end = state.time + dt
         corners = model.gather(model.x0)
-        return Begun(ElementData(model.elements, corners - corners[:, :1]), None, model.dead_load(end), end)
+        return Begun(
+            ElementData(model.elements_at((1.0, end)), corners - corners[:, :1]), None, model.dead_load(end), end
+        )
 
     def finish(self, model: Model, state: StaticState, dt, u, motion, begun) -> StaticState:
         end = state.time + dt
@@ -128,6 +130,7 @@ class Static(ImplicitMethod):
             carried = reactions_at(model, state.d, state.R, state.time)
             force = force + 0.5 * (carried + reactions_at(model, motion.x, motion.R, end))
         work = state.external_work + jnp.sum(force * u)
+        work = work + model.work_of_rests((before, state.R, state.time), (after, motion.R, end))
         return StaticState(
             time=end,
             d=motion.x,
@@ -138,7 +141,7 @@ class Static(ImplicitMethod):
 
     def observe(self, model: Model, state: StaticState) -> Observation:
         zero = jnp.zeros(())
-        strain = model.strain_energy(model.x0 + state.d, state.R)
+        strain = model.strain_energy(model.x0 + state.d, state.R, state.time)
         return Observation(zero, strain, state.external_work, zero, jnp.zeros(3), jnp.zeros(3))
 
 

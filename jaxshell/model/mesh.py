@@ -1,6 +1,6 @@
 """Triangle meshes: nodes, connectivity, the checks that a shell needs, selections, and import through meshio."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from jaxshell.model import repair
 from jaxshell.model.mesh_file import read_cells
+from jaxshell.model.sets import Sets
 from jaxshell.numerics.checks import (
     check_choice,
     check_finite,
@@ -75,6 +76,7 @@ class Mesh(eqx.Module):
         coincident: what is done where nodes lie in one place (closer than 1e-6 of the edges there) and no triangle
             joins them: "error", since two faces that only seem to be one fall apart, or "allow" where it is meant, as
             at the lips of a slit.
+        element_sets: {name: numbers of elements}, for regions of other sections; sets may overlap.
 
     `Mesh.merged` joins coincident nodes and `Mesh.oriented` turns triangles, both from the same arrays.
 
@@ -85,11 +87,12 @@ class Mesh(eqx.Module):
 
     nodes: Float[jax.Array, "n 3"] = eqx.field(converter=float_array)
     connectivity: Frozen = eqx.field(static=True)
+    element_sets: Sets = eqx.field(static=True)
 
     merged = _OfMeshOrArrays(_merged)
     oriented = _OfMeshOrArrays(_oriented)
 
-    def __init__(self, nodes, triangles, *, coincident: str = "error"):
+    def __init__(self, nodes, triangles, *, coincident: str = "error", element_sets: Mapping | None = None):
         require_float64()
         self.nodes = float_array(nodes, "nodes")
         triangles = (
@@ -101,6 +104,7 @@ class Mesh(eqx.Module):
         check_shape("triangles", self.triangles, (None, 3))
         check_finite("nodes", self.nodes)
         _check_connectivity(self.triangles, self.n_nodes)
+        self.element_sets = Sets("element", element_sets, self.n_elements)
         if is_concrete(self.nodes):
             _check_shapes(np.asarray(self.nodes), self.triangles)
             if coincident == "error":
@@ -118,6 +122,10 @@ class Mesh(eqx.Module):
     @property
     def n_elements(self) -> int:
         return self.triangles.shape[0]
+
+    def element_set(self, name: str) -> np.ndarray:
+        """Numbers of the elements of a set. Raises ValueError that lists the sets that there are."""
+        return self.element_sets.chosen("element", name)
 
     def nodes_where(self, condition: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """Indices of the nodes whose coordinates fulfil `condition(x)`, x of shape (3, n).

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxshell.model.contribution import Contribution
-from jaxshell.model.loads import Load
+from jaxshell.model.loads import InitialStrains, Load
 from jaxshell.model.mesh import Mesh
-from jaxshell.model.sections import AnySection
+from jaxshell.model.sections import AnySection, Regions
 from jaxshell.model.supports import DOFS, Support
 from jaxshell.numerics.checks import (
     check_choice,
@@ -102,7 +102,9 @@ class Scene(eqx.Module):
     """A shell with its supports and loads.
 
     Arguments:
-        mesh, section: the shell. supports, loads: sequences, possibly empty.
+        mesh, section: the shell. The section is one for all of it, or {name of an element set: section}, or a list of
+            (elements, section) with numbers or names of sets: every element in one of them.
+        supports, loads: sequences, possibly empty.
         initial: the state at the start; None is rest.
         name: for files and pictures.
         watch: {label: (node, component)}, component out of ux, uy, uz, vx, vy, vz; kept at every step. Or the same as
@@ -125,7 +127,7 @@ class Scene(eqx.Module):
     def __init__(
         self,
         mesh: Mesh,
-        section: AnySection,
+        section: AnySection | Mapping[str, AnySection] | Sequence[tuple[Any, AnySection]],
         supports: Sequence[Support] = (),
         loads: Sequence[Load] = (),
         initial: Initial | None = None,
@@ -134,6 +136,8 @@ class Scene(eqx.Module):
         defaults: Defaults | None = None,
     ):
         check_kind("mesh", mesh, Mesh, "a jaxshell.Mesh")
+        if isinstance(section, Mapping | list | tuple):
+            section = Regions.of(mesh, section)
         check_kind("section", section, AnySection, "a section such as jaxshell.Section")
         self.mesh = mesh
         self.section = section
@@ -162,6 +166,8 @@ class Scene(eqx.Module):
         for position, load in enumerate(self.loads):
             try:
                 load.check(self.mesh)
+                if isinstance(load, InitialStrains):
+                    load.check_section(self.section, self.mesh)
             except ValueError as error:
                 raise ValueError(f"load {position}: {error}") from error
         if self.initial is not None:
@@ -183,6 +189,11 @@ class Scene(eqx.Module):
     def contributions(self) -> tuple[Contribution, ...]:
         """What follows the motion, in the order of the loads."""
         return tuple(load for load in self.loads if isinstance(load, Contribution))
+
+    @property
+    def initial_strains(self) -> tuple[InitialStrains, ...]:
+        """What changes the stress-free state, in the order of the loads."""
+        return tuple(load for load in self.loads if isinstance(load, InitialStrains))
 
     @property
     def held_dofs(self) -> np.ndarray:

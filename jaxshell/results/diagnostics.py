@@ -20,7 +20,7 @@ def momentum_scales(run: Solution) -> tuple[float, float]:
     times the shell's size (the diagonal of its bounding box): what a change of the momenta is measured against."""
     mesh = run.scene.mesh
     nodes = np.asarray(mesh.nodes)
-    mass = float(np.asarray(run.scene.section.mass_per_area(mesh)) @ triangle_areas(nodes, mesh.triangles))
+    mass = float(np.asarray(run.scene.section.area_masses(mesh)) @ triangle_areas(nodes, mesh.triangles))
     linear = float(np.sqrt(2 * mass * np.max(np.asarray(run.energy.kinetic))))
     return linear, linear * float(np.linalg.norm(np.ptp(nodes, axis=0)))
 

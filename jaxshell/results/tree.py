@@ -11,14 +11,20 @@ import numpy as np
 
 from jaxshell.model.history import History
 from jaxshell.model.loads import LOADS
+from jaxshell.model.materials import MATERIALS
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.scene import Defaults, Initial, Scene
-from jaxshell.model.sections import SECTIONS
+from jaxshell.model.sections import SECTIONS, Cylindrical, Ply
+from jaxshell.model.sets import Sets
 from jaxshell.model.supports import Support
 from jaxshell.numerics.frozen import Frozen
 from jaxshell.results.checked import has, read_text, write_array, write_attribute, write_text
 
-_KINDS = {kind.__name__: kind for kind in (Mesh, *SECTIONS, Support, History, Initial, *LOADS)}
+_KINDS = {
+    kind.__name__: kind for kind in (Mesh, *SECTIONS, Ply, Cylindrical, *MATERIALS, Support, History, Initial, *LOADS)
+}
+_LIST, _SETS = "list", "sets"
+"""The kinds of groups that hold a tuple of objects or arrays, and named sets."""
 _TEXT = "json:"
 """Before the name of a dataset that holds JSON."""
 
@@ -90,6 +96,18 @@ def _write_field(group, name: str, value) -> None:
             _write_field(inner, field.name, getattr(value, field.name))
     elif isinstance(value, Frozen):
         write_array(group, name, value.array)
+    elif isinstance(value, Sets):
+        if value:
+            inner = group.create_group(name)
+            write_attribute(inner, "kind", _SETS)
+            for position, (label, numbers) in enumerate(value.items()):  # a label may hold a slash
+                write_text(inner, f"{position} name", label)
+                write_array(inner, f"{position}", numbers)
+    elif isinstance(value, tuple) and any(isinstance(item, eqx.Module | Frozen) for item in value):
+        inner = group.create_group(name)
+        write_attribute(inner, "kind", _LIST)
+        for position, item in enumerate(value):
+            _write_field(inner, str(position), item)
     elif isinstance(value, str | tuple | bool):
         write_text(group, _TEXT + name, to_json(value))
     else:
@@ -97,16 +115,26 @@ def _write_field(group, name: str, value) -> None:
 
 
 def _read_object(group) -> Any:
-    kind = _KINDS[read_text(group, "kind")]
+    name = read_text(group, "kind")
+    if name == _LIST:
+        return tuple(_read_item(group[str(position)]) for position in range(len(group)))
+    if name == _SETS:
+        return {read_text(group, f"{k} name"): group[str(k)][()] for k in range(len(group) // 2)}
+    kind = _KINDS[name]
     # Version 0.1 kept texts in attributes.
     fields = {name: tuples(json.loads(group.attrs[name])) for name in group.attrs if name != "kind"}
     for name, item in group.items():
         if name.startswith(_TEXT):
             fields[name.removeprefix(_TEXT)] = tuples(json.loads(read_text(group, name)))
-        elif isinstance(item, h5py.Group):
-            fields[name] = _read_object(item)
         else:
-            fields[name] = jnp.asarray(item[()]) if item.dtype.kind == "f" else item[()]
-    if kind is Mesh:
-        return Mesh(fields["nodes"], fields["connectivity"], coincident="allow")  # as it was when it was stored
+            fields[name] = _read_item(item)
+    if kind is Mesh:  # as it was when it was stored
+        sets = fields.get("element_sets")
+        return Mesh(fields["nodes"], fields["connectivity"], coincident="allow", element_sets=sets)
     return kind(**fields)
+
+
+def _read_item(item) -> Any:
+    if isinstance(item, h5py.Group):
+        return _read_object(item)
+    return jnp.asarray(item[()]) if item.dtype.kind == "f" else item[()]

@@ -1,9 +1,25 @@
 """Sections, one kind a file: what the reference surface of the shell is made of."""
 
-from jaxshell.model.sections.base import AnySection, Resultants
+from jaxshell.model.sections.base import AnySection, Layers, Resultants
+from jaxshell.model.sections.direction import Cylindrical
+from jaxshell.model.sections.general import GeneralSection
 from jaxshell.model.sections.isotropic import Section
+from jaxshell.model.sections.laminate import Laminate
+from jaxshell.model.sections.ply import Ply
+from jaxshell.model.sections.regions import Regions
 
-SECTIONS: tuple[type[AnySection], ...] = (Section,)
+SECTIONS: tuple[type[AnySection], ...] = (Section, Laminate, GeneralSection, Regions)
 """Every kind that scene files and result files know."""
 
-__all__ = ["SECTIONS", "AnySection", "Resultants", "Section"]
+__all__ = [
+    "SECTIONS",
+    "AnySection",
+    "Cylindrical",
+    "GeneralSection",
+    "Laminate",
+    "Layers",
+    "Ply",
+    "Regions",
+    "Resultants",
+    "Section",
+]

@@ -6,23 +6,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
+from jaxshell.model.materials.checks import check_poisson_ratio
+from jaxshell.model.materials.isotropic import plane_stress_matrix
 from jaxshell.model.mesh import Mesh
-from jaxshell.model.sections.base import AnySection, Resultants
-from jaxshell.numerics.checks import (
-    LARGEST,
-    check_finite,
-    check_one_or_each,
-    check_positive,
-    float_array,
-    floats,
-    is_concrete,
-)
+from jaxshell.model.sections.base import BETA_0_MINIMUM, AnySection, Layers, Patch, Resultants, check_bearable
+from jaxshell.numerics.checks import check_finite, check_one_or_each, check_positive, float_array, floats, is_concrete
 
-BETA_0_MINIMUM = 0.01
-"""Least factor of the membrane's higher-order stiffness, so that the element keeps its rank of 6."""
-_VALUES = ("thickness", "young_modulus", "poisson_ratio", "density")
+_VALUES = ("thickness", "young_modulus", "poisson_ratio", "density", "expansion")
 
 
 class Section(AnySection):
@@ -33,6 +25,7 @@ class Section(AnySection):
         young_modulus: E [force/length²].
         poisson_ratio: ν, in (-1, 1/2].
         density: ρ [mass/length³].
+        expansion: thermal strain of one degree [1/temperature], for `jaxshell.Thermal`.
 
     Units are the user's, consistently. Raises ValueError naming the value that is out of range.
     """
@@ -43,6 +36,7 @@ class Section(AnySection):
     young_modulus: Float[jax.Array, "*m"] = eqx.field(converter=floats("young_modulus"))
     poisson_ratio: Float[jax.Array, "*m"] = eqx.field(converter=floats("poisson_ratio"))
     density: Float[jax.Array, "*m"] = eqx.field(converter=floats("density"))
+    expansion: Float[jax.Array, "*m"] = eqx.field(converter=floats("expansion"), default=0.0)
 
     def __check_init__(self):
         for name in _VALUES:
@@ -50,12 +44,8 @@ class Section(AnySection):
         check_positive("thickness", self.thickness)
         check_positive("young_modulus", self.young_modulus)
         check_positive("density", self.density)
-        check_finite("poisson_ratio", self.poisson_ratio)
-        if is_concrete(self.poisson_ratio):
-            ratio = np.asarray(self.poisson_ratio)
-            bad = (ratio <= -1) | (ratio > 0.5)
-            if bad.any():
-                raise ValueError(f"poisson_ratio must lie in (-1, 0.5], but it is {ratio[bad].flat[0]}.")
+        check_finite("expansion", self.expansion)
+        check_poisson_ratio(self.poisson_ratio)
         self._check_range()
 
     def _check_range(self):
@@ -63,26 +53,30 @@ class Section(AnySection):
         values = [getattr(self, name) for name in _VALUES]
         if not all(map(is_concrete, values)) or len({value.shape for value in values if value.shape}) > 1:
             return
-        h, young, ratio, density = map(np.asarray, values)
+        h, young, ratio, density, _ = map(np.asarray, values)
         with np.errstate(all="ignore"):
-            for what, value in (
-                ("bending stiffness E h³/12(1-ν²)", young * h**3 / 12 / (1 - ratio**2)),
-                ("rotary inertia ρ h³/12", density * h**3 / 12),
-            ):
-                bad = ~((value >= 1 / LARGEST) & (value <= LARGEST))
-                if bad.any():
-                    raise ValueError(
-                        f"The {what} is {value[bad].flat[0]:.3g}, which double precision does not bear: thickness, "
-                        "young_modulus or density is far out of range, or in another unit than is meant."
-                    )
+            check_bearable("bending stiffness E h³/12(1-ν²)", young * h**3 / 12 / (1 - ratio**2))
+            check_bearable("rotary inertia ρ h³/12", density * h**3 / 12)
 
-    def check(self, mesh: Mesh) -> None:
+    def check(self, mesh: Mesh | Patch) -> None:
         self.per_element(mesh.n_elements)
         check_finite("thickness", self.thickness)
 
-    def resultants(self, mesh: Mesh) -> Resultants:
+    def resultants(self, mesh: Mesh | Patch) -> Resultants:
         each = self.per_element(mesh.n_elements)
         return jax.vmap(isotropic)(each.thickness, each.young_modulus, each.poisson_ratio, each.density)
+
+    def layers(self, mesh: Mesh | Patch) -> Layers:
+        each = self.per_element(mesh.n_elements)
+        half = 0.5 * each.thickness
+        C = jax.vmap(plane_stress_matrix)(each.young_modulus, each.poisson_ratio)
+        return Layers(
+            z=jnp.stack([-half, half], axis=1)[:, None],
+            C=C[:, None],
+            angle=jnp.zeros((mesh.n_elements, 1)),
+            expansion=(each.expansion[:, None] * jnp.array([1.0, 1.0, 0.0]))[:, None],
+            density=each.density[:, None],
+        )
 
     def per_element(self, n_elements: int) -> "Section":
         """The same section with every value as an array (n_elements,). Raises ValueError for another length."""
@@ -111,11 +105,3 @@ def isotropic(thickness, young_modulus, poisson_ratio, density) -> Resultants:
         rotary_inertia=density * thickness**3 / 12.0,
         beta0=jnp.maximum(0.5 * (1.0 - 4.0 * jnp.asarray(poisson_ratio) ** 2), BETA_0_MINIMUM),
     )
-
-
-def plane_stress_matrix(young_modulus, poisson_ratio) -> Float[Array, "3 3"]:
-    """Isotropic plane-stress matrix C, (σxx, σyy, τxy) = C (εxx, εyy, γxy) [units of E]."""
-    nu = jnp.asarray(poisson_ratio)
-    zero, one = jnp.zeros_like(nu), jnp.ones_like(nu)
-    rows = jnp.stack([one, nu, zero, nu, one, zero, zero, zero, 0.5 * (1.0 - nu)]).reshape(3, 3)
-    return young_modulus / (1.0 - nu * nu) * rows

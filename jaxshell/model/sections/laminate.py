@@ -1,0 +1,145 @@
+"""The laminate: plies on each other, each with its material, thickness and angle."""
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxshell.model.materials import Material
+from jaxshell.model.materials.base import rotated, strain_rotation
+from jaxshell.model.mesh import Mesh
+from jaxshell.model.sections.base import AnySection, Layers, Patch, Resultants, check_bearable, optimal_beta0
+from jaxshell.model.sections.direction import angles, degrees, given_direction
+from jaxshell.model.sections.layup import read_layup
+from jaxshell.model.sections.ply import Ply
+from jaxshell.numerics.checks import check_finite, check_kind, check_shape, check_switch, float_array, shown
+
+
+class Laminate(AnySection):
+    """Classical laminate theory: plies that are bonded, normals that stay straight.
+
+    Arguments:
+        plies: `Ply`s from the bottom up, which is the direction of the elements' normals. `Laminate.from_layup` reads
+            them from text.
+        direction: from where the plies' angles are counted: a vector (3,), one for each element (m, 3), or a
+            `jaxshell.Cylindrical`; projected onto the elements.
+        offset: z of the laminate's middle surface, from the surface of the nodes along the normals [length].
+        symmetric: the plies are the lower half, and the upper one mirrors them. Then membrane and bending do not couple,
+            and no coupling is compiled; a list of all plies, symmetric by its numbers, is computed with B = 0.
+
+    A, B, D = Σ_k Q̄_k ∫ (1, z, z²) dz. Differentiable in every float. Source: R. M. Jones, Mechanics of Composite
+    Materials (1999), chapter 4.
+
+    Raises ValueError for no plies, for values of another length, for a direction normal to an element, naming it.
+    """
+
+    kind: ClassVar[str] = "laminate"
+
+    plies: tuple[Ply, ...]
+    direction: object
+    offset: Float[jax.Array, ""] | None
+    symmetric: bool = eqx.field(static=True)
+
+    def __init__(self, plies: Sequence[Ply], direction=(1.0, 0.0, 0.0), offset=0.0, symmetric: bool = False):
+        if isinstance(plies, Ply):
+            plies = [plies]
+        if not isinstance(plies, list | tuple) or not plies:
+            raise ValueError(f"plies must be a list of jaxshell.Ply, at least one, but it is {shown(plies)}.")
+        for position, ply in enumerate(plies):
+            check_kind(f"plies[{position}]", ply, Ply, "a jaxshell.Ply")
+        check_switch("symmetric", symmetric)
+        self.plies = tuple(plies)
+        self.direction = given_direction(direction)
+        # The plain number 0 leaves the offset out of the compiled program.
+        none = offset is None or (isinstance(offset, int | float) and not isinstance(offset, bool) and offset == 0)
+        self.offset = None if none else float_array(offset, "offset")
+        self.symmetric = symmetric
+
+    def __check_init__(self):
+        if self.offset is not None:
+            check_shape("offset", self.offset, ())
+            check_finite("offset", self.offset)
+
+    @classmethod
+    def from_layup(
+        cls, layup: str, material: Material, ply_thickness, direction=(1.0, 0.0, 0.0), offset=0.0
+    ) -> "Laminate":
+        """Plies of one material and thickness [length] with the angles of a text such as "[45/-45/0/90]s".
+
+        `jaxshell.model.sections.layup.read_layup` says what may stand in the text. Of one that ends in s the plies
+        of the lower half are kept, and the others mirror them.
+        """
+        angles, symmetric = read_layup(layup)
+        return cls([Ply(material, ply_thickness, angle) for angle in angles], direction, offset, symmetric)
+
+    @property
+    def all_plies(self) -> tuple[Ply, ...]:
+        """From the bottom to the top, with those that mirror others."""
+        return self.plies + self.plies[::-1] if self.symmetric else self.plies
+
+    @property
+    def thickness(self) -> Float[Array, "*m"]:
+        """Of all plies together [length]."""
+        return sum((ply.thickness for ply in self.all_plies), jnp.zeros(()))
+
+    def direction_angles(self, mesh: Mesh | Patch) -> Float[Array, " m"]:
+        return angles(self.direction, mesh)
+
+    def layers(self, mesh: Mesh | Patch) -> Layers:
+        plies = self.all_plies
+        thickness = self._each("thickness", mesh.n_elements)
+        angle = self.direction_angles(mesh)[:, None] + degrees(self._each("angle", mesh.n_elements))
+        top = jnp.cumsum(thickness, axis=1) - 0.5 * jnp.sum(thickness, axis=1, keepdims=True)
+        if self.offset is not None:
+            top = top + self.offset
+        Q = jnp.stack([ply.material.stiffness() for ply in plies])
+        free = jnp.stack([jnp.append(ply.material.expansions(), 0.0) for ply in plies])
+        density = jnp.stack([ply.material.density for ply in plies])
+
+        def turned(Q, free, angle):  # of one layer
+            return rotated(Q, angle), strain_rotation(-angle) @ free
+
+        C, expansion = jax.vmap(jax.vmap(turned), (None, None, 0))(Q, free, angle)
+        return Layers(
+            z=jnp.stack([top - thickness, top], axis=-1),
+            C=C,
+            angle=angle,
+            expansion=expansion,
+            density=jnp.broadcast_to(density, angle.shape),
+        )
+
+    def resultants(self, mesh: Mesh | Patch) -> Resultants:
+        layers = self.layers(mesh)
+        A, B, D = (layers.integral(layers.C, power) for power in range(3))
+        mass, first, second = (layers.integral(layers.density, power) for power in range(3))
+        even = self.symmetric and self.offset is None
+        return Resultants(
+            A=A,
+            D=D,
+            mass_per_area=mass,
+            rotary_inertia=second,
+            beta0=jax.vmap(optimal_beta0)(A),
+            B=None if even else B,
+            first_moment=None if even else first,
+        )
+
+    def check(self, mesh: Mesh | Patch) -> None:
+        found = self.resultants(mesh)
+        check_bearable("bending stiffness tr D", jnp.trace(found.D, axis1=1, axis2=2))
+        check_bearable("rotary inertia ∫ρ z² dz", found.rotary_inertia)
+
+    def _each(self, name: str, n_elements: int) -> Float[Array, "m p"]:
+        """Thicknesses or angles of all plies in every element."""
+        columns = []
+        for position, ply in enumerate(self.all_plies):
+            value = getattr(ply, name)
+            if value.shape not in ((), (n_elements,)):
+                raise ValueError(
+                    f"ply {position}: {name} must be one value or one per element ({n_elements}), but it has shape "
+                    f"{value.shape}."
+                )
+            columns.append(jnp.broadcast_to(value, (n_elements,)))
+        return jnp.stack(columns, axis=1)
