@@ -217,8 +217,11 @@ def mass_matrix(R: Float[Array, "3 3 3"], element: corotational.Element) -> Floa
     turn = -jax.vmap(rotations.skew)(R @ element.frame[2])
     translational = element.mass_per_area * mass[:, None, :, None] * jnp.eye(3)[None, :, None, :]
     rotational = element.rotary_inertia * jnp.einsum("ab,aki,bkj->aibj", mass, turn, turn)
-    zero = jnp.zeros_like(rotational)
-    rows = [jnp.stack([translational, zero], axis=3), jnp.stack([zero, rotational], axis=3)]
+    coupled = lever = jnp.zeros_like(rotational)
+    if element.first_moment is not None:  # v·ṫ of ∫ρz dz
+        coupled = element.first_moment * jnp.einsum("ab,bij->aibj", mass, turn)
+        lever = jnp.transpose(coupled, (2, 3, 0, 1))
+    rows = [jnp.stack([translational, coupled], axis=3), jnp.stack([lever, rotational], axis=3)]
     return jnp.stack(rows, axis=1).reshape(18, 18)
 
 

@@ -79,6 +79,11 @@ class Element(eqx.Module):
         return self.section.mass_per_area
 
     @property
+    def first_moment(self) -> Float[Array, "*m"] | None:
+        """∫ρ z dz, which couples translation and director; None where it vanishes."""
+        return self.section.first_moment
+
+    @property
     def rotary_inertia(self) -> Float[Array, "*m"]:
         """ρh³/12, the two equal entries of I_ρ⁰, eq. (32)."""
         return self.section.rotary_inertia

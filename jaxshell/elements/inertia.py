@@ -132,6 +132,15 @@ def point_inertia(theta, start: PointStart, factors: StepFactors, centrifugal: b
     return product(averaged, a)
 
 
+def point_director(theta, start: PointStart, factors: StepFactors) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Director t and its acceleration R (Ω̇ × e3 + Ω × (Ω × e3)) at the generalised mid-point, averaged as in
+    `point_inertia`, for one point."""
+    _, averaged, rate, _ = _mid_point(theta, start, factors, centrifugal=False)
+    t, first, second = start.director, start.rate, start.acceleration
+    acceleration = factors.mid(factors.second(theta, first, second), second, factors.alpha_m)
+    return product(averaged, t), product(averaged, cross(acceleration, t) + cross(rate, cross(rate, t)))
+
+
 def point_tangent(theta, start: PointStart, factors: StepFactors, centrifugal: bool = True) -> Float[Array, "3 3"]:
     """Derivative of `point_inertia` with respect to θ: M, C_iner and K_iner of eqs. (51), (95), over ρh³/12.
 

@@ -37,6 +37,10 @@ _EXPLOSION = 10.0
 the factor decides on a few steps more or less only."""
 
 
+_EVEN = 1e-9
+"""∫ρz dz below this part of the root of ∫ρ dz ∫ρz² dz vanishes."""
+
+
 class ExplicitState(MovingState):
     """State at the end of a step."""
 
@@ -89,6 +93,15 @@ class CentralDifference(Method):
         return float(self.safety * _stable_step(scene, nodal_tables(structure_of(scene))))
 
     def check(self, scene: Scene, steps) -> None:
+        found = scene.section.resultants(scene.mesh)
+        moment = found.first_moment
+        if moment is not None:
+            lever = jnp.sqrt(found.mass_per_area * found.rotary_inertia)
+            if not is_concrete(moment) or bool(jnp.any(jnp.abs(moment) > _EVEN * lever)):
+                raise ValueError(
+                    "CentralDifference has no first moment of mass ∫ρz dz, which this section has, or may have while "
+                    "JAX traces it: use an implicit method, or a laminate that is symmetric=True without offset."
+                )
         if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, steps))):
             return
         critical, largest = self.critical_step(scene), float(np.max(steps))

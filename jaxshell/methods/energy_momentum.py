@@ -221,6 +221,9 @@ class EnergyMomentum(ImplicitMethod):
         weight = elements.area[:, None, None]
         momentum = weight * elements.mass_per_area[:, None, None] * (jnp.asarray(LINEAR_MASS) @ v)
         spin = weight * elements.rotary_inertia[:, None, None] * (jnp.asarray(LINEAR_MASS) @ rates)
+        if elements.first_moment is not None:  # ∫ρz dz couples the two
+            uneven = weight * elements.first_moment[:, None, None] * jnp.asarray(LINEAR_MASS)
+            momentum, spin = momentum + uneven @ rates, spin + uneven @ v
         kinetic = 0.5 * (jnp.sum(v * momentum) + jnp.sum(rates * spin))
         linear = jnp.sum(momentum, axis=(0, 1))
         angular = jnp.sum(jnp.cross(x, momentum) + jnp.cross(directors, spin), axis=(0, 1))
@@ -241,25 +244,40 @@ def _masses(element: Element) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]
     return scaled(element.mass_per_area * element.area, linear), scaled(element.rotary_inertia * element.area, linear)
 
 
+def _uneven_mass(element: Element) -> Float[Array, "3 3"] | None:
+    """The same times ∫ρz dz, which couples velocities and directors; None where it vanishes."""
+    if element.first_moment is None:
+        return None
+    return scaled(element.first_moment * element.area, jnp.asarray(LINEAR_MASS))
+
+
 def _director_step(u, start: DirectorMotion, element: Element, dt):
-    """Mid-point directors t_m (3, 3) and the rate of their momenta Σ_b J_ab (ṫ₁ - ṫ₀)_b/Δt (3, 3)."""
+    """Mid-point directors t_m (3, 3), and the rates of the momenta of velocities and directors, (3, 3) each.
+
+    Σ_b M_ab (v₁ - v₀)_b/Δt and Σ_b J_ab (ṫ₁ - ṫ₀)_b/Δt, each with the other's changes where ∫ρz dz couples them.
+    """
     # t_m = ½ (I + cay(θ)) t₀, from t₁ - t₀ = θ × t_m.
     middle = jax.vmap(lambda A, t: product(A, t))(jax.vmap(mid_matrix)(u[:, 3:]), start.director)
     change = cross(u[:, 3:], middle)
-    return middle, product(_masses(element)[1], 2.0 * (change / dt - start.rate) / dt)
+    mass, rotary = _masses(element)
+    faster, turned = 2.0 * (u[:, :3] / dt - start.v) / dt, 2.0 * (change / dt - start.rate) / dt
+    force, spin = product(mass, faster), product(rotary, turned)
+    uneven = _uneven_mass(element)
+    if uneven is not None:
+        force, spin = force + product(uneven, turned), spin + product(uneven, faster)
+    return middle, force, spin
 
 
 def director_inertia_forces(u, start: DirectorMotion, element: Element, dt) -> Float[Array, "18"]:
-    """Force Σ_b M_ab (v₁ - v₀)_b/Δt and moment t_m,a × Σ_b J_ab (ṫ₁ - ṫ₀)_b/Δt on every node a."""
-    force = product(_masses(element)[0], 2.0 * (u[:, :3] / dt - start.v) / dt)
-    moment = cross(*_director_step(u, start, element, dt))
-    return jnp.stack([force, moment], axis=1).reshape(18)
+    """Rate of momentum as force, and moment t_m,a × (rate of the director's momentum), on every node a."""
+    middle, force, spin = _director_step(u, start, element, dt)
+    return jnp.stack([force, cross(middle, spin)], axis=1).reshape(18)
 
 
 def director_inertia_tangent(motion: Motion, u, start: DirectorMotion, element: Element, dt):
     """Derivative of `director_inertia_forces` by u, (18, 18)."""
     mass, rotary = (2.0 / dt**2 * m for m in _masses(element))
-    middle, rate = _director_step(u, start, element, dt)
+    middle, _, rate = _director_step(u, start, element, dt)
     end = 2.0 * middle - start.director
     skews = jax.vmap(skew)
     by_theta = -jax.vmap(product)(skews(end), motion.spin)  # δt₁ = δω × t₁
@@ -269,6 +287,11 @@ def director_inertia_tangent(motion: Motion, u, start: DirectorMotion, element: 
     eye = jnp.eye(3)
     moments = jnp.transpose(moved + eye[:, :, None, None] * turned[:, None], (0, 2, 1, 3))
     forces = mass[:, None, :, None] * eye[None, :, None, :]
-    zero = jnp.zeros_like(forces)
-    rows = [jnp.stack([forces, zero], axis=3), jnp.stack([zero, moments], axis=3)]
+    coupling = lever = jnp.zeros_like(forces)
+    uneven = _uneven_mass(element)
+    if uneven is not None:
+        uneven = 2.0 / dt**2 * uneven
+        coupling = uneven[:, None, :, None] * jnp.transpose(by_theta, (1, 0, 2))[None]
+        lever = uneven[:, None, :, None] * skews(middle)[:, :, None, :]
+    rows = [jnp.stack([forces, coupling], axis=3), jnp.stack([lever, moments], axis=3)]
     return jnp.stack(rows, axis=1).reshape(18, 18)

@@ -86,6 +86,13 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         check_choice("initial_acceleration", self.initial_acceleration, ("consistent", "zero"))
         check_choice("inertia", self.inertia, ("seven_point", "traditional", "none"))
 
+    def check(self, scene, steps) -> None:
+        if self.inertia != "seven_point" and scene.section.resultants(scene.mesh).first_moment is not None:
+            raise ValueError(
+                f'inertia="{self.inertia}" has no first moment of mass ∫ρz dz, which a section that is not symmetric '
+                'about the surface of the nodes may have: use inertia="seven_point".'
+            )
+
     def factors(self, dt) -> StepFactors:
         """β, γ, α_m, α_f of eq. (92)."""
         return StepFactors.of_spectral_radius(self.spectral_radius, dt)
@@ -122,7 +129,8 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             average=lambda Lambda: factors.mid(Lambda, data.Lambda, factors.alpha_f),
         )
         points = data.spins if self.inertia == "seven_point" else None
-        K = K + seven_point.inertial_tangent(motion.theta, points, element, factors)  # eq. (95)
+        acceleration = seven_point.mid_acceleration(u[:, :3], data.v, data.a, factors)
+        K = K + seven_point.inertial_tangent(motion.theta, points, element, factors, acceleration)  # eq. (95)
         if self.inertia == "traditional":
             blocks = traditional.stiffness(motion, data.R, data.spins, element, factors)
             K = K + jnp.pad(blocks, [(0, 0), (3, 0)] * 2).reshape(18, 18)

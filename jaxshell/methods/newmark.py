@@ -81,7 +81,8 @@ class ForceLevelMethod(ImplicitMethod):
         f = corotational.stresses(kin.deformations, data.element)
         weight = 1.0 - step.alpha_f
         K = corotational.stiffness(kin, f, data.element, motion.spin, material=weight, geometric=weight)
-        return K + seven_point.inertial_tangent(motion.theta, data.points, data.element, step)
+        acceleration = seven_point.mid_acceleration(u[:, :3], data.v, data.a, step)
+        return K + seven_point.inertial_tangent(motion.theta, data.points, data.element, step, acceleration)
 
     # --- the shell -----------------------------------------------------------------------------------------
 

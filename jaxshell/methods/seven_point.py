@@ -21,8 +21,8 @@ from jaxshell.elements.inertia import (
     StepFactors,
 )
 from jaxshell.numerics.fusion import formed
-from jaxshell.numerics.products import dot, product, scaled
-from jaxshell.numerics.rotations import exp, log
+from jaxshell.numerics.products import cross, dot, product, scaled
+from jaxshell.numerics.rotations import exp, log, skew
 
 # --- one element ------------------------------------------------------------------------------------------
 
@@ -32,7 +32,7 @@ def inertial_forces(increment, theta, v, a, points: PointStart | None, element: 
 
     `points` None leaves the rotary inertia out.
     """
-    acceleration = factors.mid(factors.second(increment, v, a), a, factors.alpha_m)
+    acceleration = mid_acceleration(increment, v, a, factors)
     mass = element.mass_per_area * element.area
     force = scaled(mass, product(jnp.asarray(LINEAR_MASS), acceleration))
     if points is None:
@@ -42,12 +42,23 @@ def inertial_forces(increment, theta, v, a, points: PointStart | None, element: 
     )
     moments = formed(moments)
     moment = scaled(element.area * element.rotary_inertia, product(jnp.asarray(_POINTS_TO_NODES), moments))
+    if element.first_moment is not None:
+        # ∫ρz dz couples the two: the force is that of ẗ, the moment t × a.
+        directors, changes = jax.vmap(inertia.point_director, in_axes=(0, 0, None))(
+            product(jnp.asarray(GAUSS_POINTS), theta), points, factors
+        )
+        uneven = scaled(element.area * element.first_moment, jnp.asarray(_POINTS_TO_NODES))
+        force = force + product(uneven, changes)
+        moment = moment + product(uneven, cross(directors, product(jnp.asarray(GAUSS_POINTS), acceleration)))
     return jnp.stack([force, moment], axis=1).reshape(18)
 
 
-def inertial_tangent(theta, points: PointStart | None, element: Element, factors: StepFactors):
-    """Derivative of `inertial_forces` by displacements and rotation vectors of the step, eqs. (51), (95); (18, 18)."""
-    second = (1.0 - factors.alpha_m) / (factors.beta * factors.dt**2)
+def inertial_tangent(theta, points: PointStart | None, element: Element, factors: StepFactors, acceleration=None):
+    """Derivative of `inertial_forces` by displacements and rotation vectors of the step, eqs. (51), (95); (18, 18).
+
+    `acceleration` (3, 3), that of `mid_acceleration`, is needed where ∫ρz dz does not vanish.
+    """
+    second = _second(factors)
     K = second * element.mass_per_area * element.area * jnp.asarray(_TRANSLATIONAL_MASS)
     if points is None:
         return K
@@ -55,7 +66,43 @@ def inertial_tangent(theta, points: PointStart | None, element: Element, factors
         product(jnp.asarray(GAUSS_POINTS), theta), points, factors
     )
     stiffness = formed(element.area * element.rotary_inertia * stiffness)
-    return K + corotational.on_rotations(_PAIR_WEIGHTS, stiffness)
+    K = K + corotational.on_rotations(_PAIR_WEIGHTS, stiffness)
+    if element.first_moment is not None:
+        K = K + element.area * element.first_moment * _uneven_tangent(theta, points, acceleration, factors)
+    return K
+
+
+def _second(factors: StepFactors):
+    """Derivative of the acceleration at t_{n+1-αm} by the increment."""
+    return (1.0 - factors.alpha_m) / (factors.beta * factors.dt**2)
+
+
+def mid_acceleration(increment, v, a, factors: StepFactors):
+    """Accelerations at t_{n+1-αm}."""
+    return factors.mid(factors.second(increment, v, a), a, factors.alpha_m)
+
+
+def _uneven_tangent(theta, points: PointStart, acceleration, factors: StepFactors) -> Float[Array, "18 18"]:
+    """Derivative of the forces of ∫ρz dz, over it and the area; `acceleration` (3, 3) of the nodes at the mid-point."""
+    at_points, shape = product(jnp.asarray(GAUSS_POINTS), theta), jnp.asarray(GAUSS_POINTS)
+    (directors, _), (turned, changed) = jax.vmap(
+        lambda theta, point: (
+            inertia.point_director(theta, point, factors),
+            jax.jacfwd(inertia.point_director)(theta, point, factors),
+        )
+    )(at_points, points)
+    moved = -jax.vmap(product)(jax.vmap(skew)(product(shape, acceleration)), turned)
+    weights = jnp.asarray(_PAIR_WEIGHTS)
+
+    def pairs(blocks):  # between the nodes
+        return jnp.einsum("abp,pij->aibj", weights, blocks)
+
+    by_displacement = _second(factors) * pairs(jax.vmap(skew)(directors))
+    rows = [
+        jnp.stack([jnp.zeros((3, 3, 3, 3)), pairs(changed)], axis=3),
+        jnp.stack([by_displacement, pairs(moved)], axis=3),
+    ]
+    return jnp.stack(rows, axis=1).reshape(18, 18)
 
 
 _POINTS_TO_NODES = (GAUSS_WEIGHTS[:, None] * GAUSS_POINTS).T
@@ -109,4 +156,21 @@ def kinetic_and_momenta(model: Model, x: Float[Array, "n 3"], v: Float[Array, "n
         turning = (elements.area * elements.rotary_inertia)[:, None, None] * turning
         kinetic = kinetic + 0.5 * jnp.sum(spins.Omega * turning)
         angular = angular + jnp.sum(dot(spins.R, turning[..., None, :]), axis=(0, 1))
+        if elements.first_moment is not None:
+            return _with_first_moment(elements, corners, rates, spins, kinetic, jnp.sum(momentum, axis=(0, 1)), angular)
     return kinetic, jnp.sum(momentum, axis=(0, 1)), angular
+
+
+def _with_first_moment(elements: Element, x, v, spins: Spins, kinetic, linear, angular):
+    """Kinetic energy and momenta with what ∫ρz dz adds: v·ṫ, ṫ, and x × ṫ + t × v."""
+    points = jnp.asarray(GAUSS_POINTS)
+    weight = (elements.area * elements.first_moment)[:, None, None] * jnp.asarray(GAUSS_WEIGHTS)[None, :, None]
+    axis = elements.frame[:, None, 2]
+    directors = dot(spins.R, axis[:, :, None])
+    rates = weight * dot(spins.R, jnp.cross(spins.Omega, axis)[:, :, None])
+    x, v = points @ x, points @ v
+    return (
+        kinetic + jnp.sum(v * rates),
+        linear + jnp.sum(rates, axis=(0, 1)),
+        angular + jnp.sum(jnp.cross(x, rates) + weight * jnp.cross(directors, v), axis=(0, 1)),
+    )
