@@ -1,19 +1,27 @@
 """Settings that every test runs under."""
 
 import os
+import re
 
+import jax
+import jaxtyping
 import pytest
 
 from jaxshell.numerics.compiled import OPTIONS
 
-# Programs of the tests' own are compiled as jaxshell's are: in half the time.
-_FLAGS = " ".join(f"--{name}={str(value).lower()}" for name, value in OPTIONS.items())
-os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_FLAGS}"
-
-import jax  # noqa: E402
-import jaxtyping  # noqa: E402
-
 jax.config.update("jax_enable_x64", True)
+
+
+def pytest_configure(config):
+    """Programs are compiled in half the time: the tests' own as jaxshell's are, and all by LLVM without optimising.
+
+    The long tests run for longer than they compile: a little of it pays there. One test is marked slow for that alone:
+    that chunks of any length make the same run to the last bit is shown with optimised programs, as users have them.
+    """
+    level = 1 if {"slow", "evidence"} & set(re.findall(r"(?<!not )\b\w+", config.option.markexpr)) else 0
+    options = {**OPTIONS, "xla_backend_optimization_level": level}
+    flags = " ".join(f"--{name}={str(value).lower()}" for name, value in options.items())
+    os.environ["XLA_FLAGS"] = f"{flags} {os.environ.get('XLA_FLAGS', '')}"
 
 
 @pytest.fixture(autouse=True)

@@ -144,6 +144,7 @@ def test_results_go_to_disk_as_they_come(whole, scene, tmp_path):
         js.simulate(scene, js.EnergyMomentum(), dt=DT, t_end=STEPS * DT, restart=loaded)
 
 
+@pytest.mark.slow
 def test_chunks_of_any_length_make_the_same_run(whole, scene, monkeypatch):
     """A chunk lasts about a second, however far apart the frames are: here one step at a time."""
     monkeypatch.setattr("jaxshell.analyses.simulation._CHUNK_TIME", 0.0)
