@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         GeneralizedEnergyMomentum,
         Newmark,
     )
+    from jaxshell.model.damping import RayleighDamping
     from jaxshell.model.loads import EdgeForce, Gravity, History, NodalForce, NodalMoment, NormalForce, Pressure
     from jaxshell.model.mesh import Mesh, structured_triangles
     from jaxshell.model.scene import Initial, Scene
@@ -64,6 +65,7 @@ __all__ = [
     "Output",
     "Pardiso",
     "Pressure",
+    "RayleighDamping",
     "Scene",
     "Section",
     "SimulationError",
@@ -91,6 +93,7 @@ _HOMES = {
     "analyses.arc_length": ["solve_arc_length"],
     "analyses.driver": ["SimulationError"],
     "solvers.linear_solver": ["KLU", "Dense", "Pardiso"],
+    "model.damping": ["RayleighDamping"],
     "model.loads": ["EdgeForce", "Gravity", "History", "NodalForce", "NodalMoment", "NormalForce", "Pressure"],
     "model.mesh": ["Mesh", "structured_triangles"],
     "gradients": ["gradients", "Checkpointed", "Stored"],

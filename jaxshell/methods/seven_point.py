@@ -27,32 +27,39 @@ from jaxshell.numerics.rotations import exp, log
 # --- one element ------------------------------------------------------------------------------------------
 
 
-def inertial_forces(increment, theta, v, a, points: PointStart | None, element: Element, factors: StepFactors):
+def inertial_forces(
+    increment, theta, v, a, points: PointStart | None, element: Element, factors: StepFactors, alpha=None
+):
     """f_iner of eqs. (40), (88), (18,): `increment`, `theta`, `v`, `a` are (3, 3), node by component.
 
-    `points` None leaves the rotary inertia out.
+    `points` None leaves the rotary inertia out. Mass-proportional damping `alpha`, where it is not None, adds α M v
+    with the velocities of n+1-αf.
     """
     acceleration = factors.mid(factors.second(increment, v, a), a, factors.alpha_m)
+    if alpha is not None:
+        acceleration = acceleration + alpha * factors.mid(factors.first(increment, v, a), v, factors.alpha_f)
     mass = element.mass_per_area * element.area
     force = scaled(mass, product(jnp.asarray(LINEAR_MASS), acceleration))
     if points is None:
         return jnp.stack([force, jnp.zeros((3, 3))], axis=1).reshape(18)
-    moments = jax.vmap(inertia.point_inertia, in_axes=(0, 0, None))(
-        product(jnp.asarray(GAUSS_POINTS), theta), points, factors
+    moments = jax.vmap(lambda theta, point: inertia.point_inertia(theta, point, factors, alpha=alpha))(
+        product(jnp.asarray(GAUSS_POINTS), theta), points
     )
     moments = formed(moments)
     moment = scaled(element.area * element.rotary_inertia, product(jnp.asarray(_POINTS_TO_NODES), moments))
     return jnp.stack([force, moment], axis=1).reshape(18)
 
 
-def inertial_tangent(theta, points: PointStart | None, element: Element, factors: StepFactors):
+def inertial_tangent(theta, points: PointStart | None, element: Element, factors: StepFactors, alpha=None):
     """Derivative of `inertial_forces` by displacements and rotation vectors of the step, eqs. (51), (95); (18, 18)."""
     second = (1.0 - factors.alpha_m) / (factors.beta * factors.dt**2)
+    if alpha is not None:
+        second = second + alpha * (1.0 - factors.alpha_f) * factors.gamma / (factors.beta * factors.dt)
     K = second * element.mass_per_area * element.area * jnp.asarray(_TRANSLATIONAL_MASS)
     if points is None:
         return K
-    stiffness = jax.vmap(inertia.point_tangent, in_axes=(0, 0, None))(
-        product(jnp.asarray(GAUSS_POINTS), theta), points, factors
+    stiffness = jax.vmap(lambda theta, point: inertia.point_tangent(theta, point, factors, alpha=alpha))(
+        product(jnp.asarray(GAUSS_POINTS), theta), points
     )
     stiffness = formed(element.area * element.rotary_inertia * stiffness)
     return K + corotational.on_rotations(_PAIR_WEIGHTS, stiffness)

@@ -38,7 +38,7 @@ class Energy(eqx.Module):
     external_work: Float[Array, " k"]
     """Work of the loads and of moving supports since the start."""
     dissipated: Float[Array, " k"]
-    """Energy that the method's numerical dissipation removed, where it accounts for it; zero otherwise."""
+    """Energy that the scene's damping removed, and the method's numerical dissipation where it accounts for it."""
 
     @property
     def total(self) -> Float[Array, " k"]:
