@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from jaxshell.analyses.arc_length import solve_arc_length
     from jaxshell.analyses.driver import SimulationError
     from jaxshell.analyses.modal import BucklingModes, Modes, linear_buckling, natural_frequencies
+    from jaxshell.analyses.settle import settle
     from jaxshell.analyses.simulation import simulate
     from jaxshell.analyses.statics import reactions, solve_static
     from jaxshell.analyses.step_control import StepControl
@@ -82,6 +83,7 @@ __all__ = [
     "plotting",
     "reactions",
     "scenes",
+    "settle",
     "simulate",
     "solve_arc_length",
     "solve_static",
@@ -114,6 +116,7 @@ _HOMES = {
     "plotting": ["plotting"],
     "scenes": ["scenes"],
     "model.sections": ["Section"],
+    "analyses.settle": ["settle"],
     "analyses.simulation": ["simulate"],
     "results.solution": ["RESULTS", "Energy", "Momentum", "Solution"],
     "analyses.statics": ["reactions", "solve_static"],
