@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from jaxshell.analyses.arc_length import solve_arc_length
     from jaxshell.analyses.driver import SimulationError
     from jaxshell.analyses.modal import BucklingModes, Modes, linear_buckling, natural_frequencies
+    from jaxshell.analyses.settle import settle
     from jaxshell.analyses.simulation import simulate
     from jaxshell.analyses.statics import reactions, solve_static
     from jaxshell.analyses.step_control import StepControl
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
         GeneralizedEnergyMomentum,
         Newmark,
     )
+    from jaxshell.model.damping import RayleighDamping
     from jaxshell.model.loads import (
         EdgeForce,
         Gravity,
@@ -82,6 +84,7 @@ __all__ = [
     "Pardiso",
     "Ply",
     "Pressure",
+    "RayleighDamping",
     "Scene",
     "Section",
     "SimulationError",
@@ -99,6 +102,7 @@ __all__ = [
     "plotting",
     "reactions",
     "scenes",
+    "settle",
     "simulate",
     "solve_arc_length",
     "solve_static",
@@ -110,6 +114,7 @@ _HOMES = {
     "analyses.arc_length": ["solve_arc_length"],
     "analyses.driver": ["SimulationError"],
     "solvers.linear_solver": ["KLU", "Dense", "Pardiso"],
+    "model.damping": ["RayleighDamping"],
     "model.loads": [
         "EdgeForce",
         "Gravity",
@@ -141,6 +146,7 @@ _HOMES = {
     "plotting": ["plotting"],
     "scenes": ["scenes"],
     "model.sections": ["Cylindrical", "GeneralSection", "Laminate", "Ply", "Section"],
+    "analyses.settle": ["settle"],
     "analyses.simulation": ["simulate"],
     "results.solution": ["RESULTS", "Energy", "Momentum", "Solution"],
     "analyses.statics": ["reactions", "solve_static"],

@@ -28,8 +28,8 @@ from jaxshell.solvers.iteration import Linear
 from jaxshell.solvers.linear_solver import Handle, LinearSolver, default_solver
 from jaxshell.solvers.newton import Newton
 
-RESULT_NAMES = ("successful", "diverged", "stagnated", "singular", "step_too_small", "unstable")
-"""In the order of the codes in `jaxshell.solvers.iteration`."""
+RESULT_NAMES = ("successful", "diverged", "stagnated", "singular", "step_too_small", "unstable", "not_at_rest")
+"""In the order of the codes in `jaxshell.solvers.iteration`; the last is that of `settle`."""
 
 
 class SimulationError(RuntimeError):
@@ -298,7 +298,7 @@ def run_traced(
         for parts in ((record, records), (frame, shots))
     )
     result = RESULTS.successful
-    for code in range(len(RESULT_NAMES)):
+    for code in range(len(RESULT_NAMES) - 1):  # no traced run settles
         result = RESULTS.where(carry.result == code, result_of(code), result)
     solution = solution_of(setup.scene, record, frame, carry._replace(memory=None), result, analysis=analysis)
     return _raise_on_failure(solution) if throw else solution

@@ -11,6 +11,7 @@ from jaxshell.assembly.tables import Structure, Tables
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
 from jaxshell.model.contribution import Contribution, Place, Surface
+from jaxshell.model.damping import Damping
 from jaxshell.model.history import History
 from jaxshell.model.loads import DeadLoad
 from jaxshell.model.scene import Scene
@@ -63,6 +64,7 @@ class Model(eqx.Module):
     size: Float[Array, ""]
     """The shell's size, the diagonal of its bounding box [length]: the scale of convergence."""
     tables: Tables
+    damping: Damping | None = None
 
     @classmethod
     def build(cls, scene: Scene, tables: Tables) -> "Model":
@@ -77,7 +79,9 @@ class Model(eqx.Module):
         surface = Surface(x0, tables.triangles, elements.mass_per_area, elements.area, elements.frame[:, 2])
         moving = tuple(support for support in scene.supports if support.displacement is not None)
         size = jnp.linalg.norm(jnp.max(x0, axis=0) - jnp.min(x0, axis=0))
-        return cls(x0, elements, dead, _acting(scene, tables, surface), _rests(scene, elements), moving, size, tables)
+        damping = None if scene.damping is None else scene.damping.per_element(scene.mesh.n_elements)
+        acting, rests = _acting(scene, tables, surface), _rests(scene, elements)
+        return cls(x0, elements, dead, acting, rests, moving, size, tables, damping)
 
     def elements_at(self, *weighted: tuple[Any, Any]) -> Element:
         """The elements with the mean of their stress-free states at some times: (weight, time) each.

@@ -156,6 +156,11 @@ def kinematics(x: Float[Array, "3 3"], R: Float[Array, "3 3 3"], element: Elemen
     return Kinematics(frame, coordinates, theta, H, deformations)
 
 
+def total_deformations(kin: Kinematics, element: Element) -> Float[Array, "12"]:
+    """The deformations counted from the mesh, whatever is free of stress."""
+    return kin.deformations if element.rest is None else kin.deformations + element.rest
+
+
 def stresses(deformations, element: Element) -> Float[Array, "12"]:
     """f̂ = K̂ e, the forces conjugate to the deformations: eq. (60) for the entries kept."""
     return jnp.concatenate(times_stiffness(element, deformations[:6], deformations[6:]))

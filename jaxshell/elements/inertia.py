@@ -113,45 +113,64 @@ class PointStart(NamedTuple):
         )
 
 
-def _mid_point(theta, start: PointStart, factors: StepFactors, centrifugal: bool):
-    """exp(~θ), its average with I, Ω at the mid-point and a = I_ρ Ω̇ + ~Ω I_ρ Ω over ρh³/12, in the start's frame."""
+def _mid_point(theta, start: PointStart, factors: StepFactors, centrifugal: bool, alpha=None):
+    """exp(~θ), its average with I, Ω at the mid-point and a = I_ρ Ω̇ + ~Ω I_ρ Ω over ρh³/12, in the start's frame.
+
+    With mass-proportional damping `alpha` a holds α I_ρ Ω too.
+    """
     end = rotations.exp(theta)
     averaged = factors.mid(end, jnp.eye(3), factors.alpha_f)
     t, first, second = start.director, start.rate, start.acceleration
     rate = factors.mid(factors.first(theta, first, second), first, factors.alpha_f)
     acceleration = factors.mid(factors.second(theta, first, second), second, factors.alpha_m)
+    if alpha is not None:
+        acceleration = acceleration + alpha * rate
     a = acceleration - dot(acceleration, t) * t
     if centrifugal:
         a = a - dot(rate, t) * cross(rate, t)  # Ω × (Ω - t t·Ω)
     return end, averaged, rate, a
 
 
-def point_inertia(theta, start: PointStart, factors: StepFactors, centrifugal: bool = True) -> Float[Array, "3"]:
-    """R (I_ρ Ω̇ + ~Ω I_ρ Ω) at the generalised mid-point, eqs. (40), (88), (91), for one point, over ρh³/12."""
-    _, averaged, _, a = _mid_point(theta, start, factors, centrifugal)
+def point_inertia(
+    theta, start: PointStart, factors: StepFactors, centrifugal: bool = True, alpha=None
+) -> Float[Array, "3"]:
+    """R (I_ρ Ω̇ + ~Ω I_ρ Ω) at the generalised mid-point, eqs. (40), (88), (91), for one point, over ρh³/12.
+
+    With mass-proportional damping `alpha` [1/time], where it is not None, R (α I_ρ Ω) is added.
+    """
+    _, averaged, _, a = _mid_point(theta, start, factors, centrifugal, alpha)
     return product(averaged, a)
 
 
-def point_director(theta, start: PointStart, factors: StepFactors) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+def point_director(
+    theta, start: PointStart, factors: StepFactors, alpha=None
+) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     """Director t and its acceleration R (Ω̇ × e3 + Ω × (Ω × e3)) at the generalised mid-point, averaged as in
-    `point_inertia`, for one point."""
+    `point_inertia`, for one point. With mass-proportional damping `alpha` its α times rate is added."""
     _, averaged, rate, _ = _mid_point(theta, start, factors, centrifugal=False)
     t, first, second = start.director, start.rate, start.acceleration
     acceleration = factors.mid(factors.second(theta, first, second), second, factors.alpha_m)
+    if alpha is not None:
+        acceleration = acceleration + alpha * rate
     return product(averaged, t), product(averaged, cross(acceleration, t) + cross(rate, cross(rate, t)))
 
 
-def point_tangent(theta, start: PointStart, factors: StepFactors, centrifugal: bool = True) -> Float[Array, "3 3"]:
+def point_tangent(
+    theta, start: PointStart, factors: StepFactors, centrifugal: bool = True, alpha=None
+) -> Float[Array, "3 3"]:
     """Derivative of `point_inertia` with respect to θ: M, C_iner and K_iner of eqs. (51), (95), over ρh³/12.
 
     With δθ = H(θ) δω the paper's form follows by multiplying with H(θ) from the right. K_iner differentiates
     the end's rotation, so it holds R_{n+1} and not the averaged matrix that eq. (95) names. With I_ρ ∝ I - t tᵀ
     the gyroscopic matrix ~Ω I_ρ - ~(I_ρ Ω) is (Ω·t) ~t - (Ω × t) tᵀ.
     """
-    end, averaged, rate, a = _mid_point(theta, start, factors, centrifugal)
+    end, averaged, rate, a = _mid_point(theta, start, factors, centrifugal, alpha)
     t = start.director
     beta, gamma, alpha_m, alpha_f, dt = factors
-    material = (1.0 - alpha_m) / (beta * dt * dt) * (jnp.eye(3) - t[:, None] * t[None, :])
+    second = (1.0 - alpha_m) / (beta * dt * dt)
+    if alpha is not None:
+        second = second + alpha * (1.0 - alpha_f) * gamma / (beta * dt)
+    material = second * (jnp.eye(3) - t[:, None] * t[None, :])
     if centrifugal:
         gyroscopic = dot(rate, t) * rotations.skew(t) - cross(rate, t)[:, None] * t[None, :]
         material = material + (1.0 - alpha_f) * gamma / (beta * dt) * gyroscopic

@@ -7,6 +7,7 @@
     [[supports]]   nodes; hold = "clamped", "pinned", "symmetry x" or list; displacement, history
     [[loads]]      kind = "force", "moment", "edge force", "gravity", "pressure" or "normal force"; nodes; its
                    force, moment, acceleration, pressure or magnitude; history
+    [damping]      alpha, beta, or ratios with modes (counted from 1) or frequencies: see `RayleighDamping`
     [watch]        label = { nearest or node, component }
     [initial]      velocity, angular_velocity, about: a rigid motion
     [run]          how it is run: the keys of `jaxshell.files.run_keys.RunSettings`, method, dt, t_end, save_every,
@@ -27,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from jaxshell.files.run_keys import RunSettings
+from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.generators import GENERATORS
 from jaxshell.model.history import History
 from jaxshell.model.loads import LOADS, Load
@@ -67,7 +69,7 @@ def read_scene_file(path) -> tuple[Scene, RunSettings]:
 
 def _scene(content: dict, path: Path) -> tuple[Scene, RunSettings]:
     top = _Table("the file", content)
-    known = ("name", "units", "mesh", "section", "supports", "loads", "watch", "initial", "run")
+    known = ("name", "units", "mesh", "section", "supports", "loads", "damping", "watch", "initial", "run")
     top.only(*known)
     mesh = _mesh(top.table("mesh"), path.parent)
     run = top.table("run", optional=True)
@@ -82,6 +84,8 @@ def _scene(content: dict, path: Path) -> tuple[Scene, RunSettings]:
         watch=_watch(top.table("watch", optional=True), mesh),
         defaults=_defaults(settings, top.text("units", "")),
     )
+    if "damping" in content:
+        scene = dataclasses.replace(scene, damping=_damping(top.table("damping"), scene))
     return scene, settings
 
 
@@ -182,6 +186,19 @@ def _initial(table: "_Table", mesh: Mesh) -> Initial | None:
     if not table.content:
         return None
     return table.call(Initial.rigid, mesh, **{name: table.vectors(name, (3,)) for name in table.content})
+
+
+def _damping(table: "_Table", scene: Scene) -> RayleighDamping:
+    given = table.content
+    if "ratios" not in given:
+        table.only("alpha", "beta")
+        damping = table.call(RayleighDamping, **given)
+        table.call(damping.check, scene.mesh)
+        return damping
+    table.only("ratios", "modes", "frequencies")
+    return table.call(
+        RayleighDamping.from_ratios, scene, given["ratios"], given.get("modes"), frequencies=given.get("frequencies")
+    )
 
 
 def _defaults(run: RunSettings, units: str) -> Defaults | None:

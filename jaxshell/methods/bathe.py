@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jaxshell.assembly.discretised import Model
 from jaxshell.elements.inertia import GAUSS_POINTS, Spins, StepFactors
 from jaxshell.methods.base import Method, StepInfo
+from jaxshell.methods.damping import DampedState, Rates
 from jaxshell.methods.newmark import ForceLevelMethod, Newmark, NewmarkState, step_factors
 
 
@@ -91,4 +92,14 @@ def history(model: Model, start: NewmarkState, half: NewmarkState, dt) -> Newmar
         external_work=half.external_work,
         reaction=half.reaction,
         rates=half.rates,
+        damped=_damped(start, half, dt),
     )
+
+
+def _damped(start: NewmarkState, half: NewmarkState, dt) -> DampedState | None:
+    """`history` for the rates of the deformations, whose change in the first half the trapezoidal rule gives back."""
+    if half.damped is None or half.damped.rates is None or start.damped is None or start.damped.rates is None:
+        return half.damped
+    before, middle = start.damped.rates.first, half.damped.rates.first
+    first = -0.25 * (before + middle)
+    return DampedState(half.damped.dissipated, Rates(first, (3.0 * first - 4.0 * middle + before) / dt))

@@ -8,11 +8,17 @@ nodes, and the nodal rotary inertia J is ISOTROPIC: the drilling rotation gets t
 needs no rotation and no gyroscopic term, J ω̇ = m; the price is a drilling oscillation of frequency of the order
 √(E/ρ)/h, which physics does not have and which sets the critical step of thin shells.
 
+Rayleigh damping: α M (v_{n-½} + v_{n+½})/2, which a diagonal mass leaves explicit, with a_n of the other forces:
+v_n = (v_{n-½} + Δt/2 a_n)/(1 + αΔt/2) and v_{n+½} = (1 - αΔt/2) v_n + Δt/2 a_n. The viscous stresses are those of the
+last half step, K̂ β (e_n - e_{n-1})/Δt. This lag makes a damped run first order in Δt (a mode's mass changes by the
+part βω²Δt/2), though Δt is so small that it hardly shows, and costs stability: with ζ = βω/2 of an element's largest
+frequency Δt ≤ (√(1 + ζ²) - ζ) 2/ω (Belytschko, Liu & Moran, section 6.2).
+
 Stability: Δt ≤ 2/ω_max, and ω_max is bounded by the largest frequency of any single element with its own lumped
 mass (Irons' theorem; Belytschko, Liu & Moran, Nonlinear Finite Elements, section 6.2).
 """
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -23,12 +29,14 @@ from jaxtyping import Array, Float
 from jaxshell.assembly.discretised import Model, structure_of
 from jaxshell.assembly.tables import Tables, nodal_tables
 from jaxshell.elements import corotational
+from jaxshell.methods import damping
 from jaxshell.methods.base import Method, Observation, StepInfo
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import MovingState
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import check_number, is_concrete
 from jaxshell.numerics.compiled import compiled
+from jaxshell.numerics.products import dot
 from jaxshell.numerics.rotations import exp
 from jaxshell.solvers.iteration import SUCCESSFUL, UNSTABLE
 
@@ -39,6 +47,16 @@ the factor decides on a few steps more or less only."""
 
 _EVEN = 1e-9
 """∫ρz dz below this part of the root of ∫ρ dz ∫ρz² dz vanishes."""
+
+
+class Damped(eqx.Module):
+    """What damping adds to the state."""
+
+    dissipated: Float[Array, ""]
+    alpha: Float[Array, "n 6"] | None
+    """The nodes' own, from the lumped masses; zero where degrees of freedom are held. Constant."""
+    deformations: Float[Array, "m 12"] | None
+    """At the end of the step, where a material is viscous."""
 
 
 class ExplicitState(MovingState):
@@ -58,6 +76,8 @@ class ExplicitState(MovingState):
     """The most energy that the start and the loads have put in until now."""
     mass: Float[Array, "n 6"]
     """Lumped masses and rotary inertias; constant."""
+    damped: Damped | None = None
+    """Of a scene with damping."""
 
     @property
     def v(self) -> Float[Array, "n 3"]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -116,7 +136,13 @@ class CentralDifference(Method):
         x, R, v, omega = initial_motion(model, scene)
         time, zero = jnp.asarray(time, float), jnp.zeros(())
         mass, rates = lumped_mass(model), jnp.concatenate([v, omega], axis=1)
-        internal, strain = _internal(model, x, R, time)
+        internal, strain, deformations = _internal(model, x, R, time)
+        damped = None
+        if model.damping is not None:
+            damped = Damped(zero, _nodal_alpha(model, mass), deformations)
+            if model.damping.beta is not None:
+                rates_of_e = damping.stretching(model, x, R, v, omega)
+                internal = internal + damping.viscous_force(model, x, R, rates_of_e)
         energy = strain + 0.5 * jnp.sum(mass * rates**2)
         return ExplicitState(  # pyright: ignore[reportCallIssue]  # v is a property
             time=time,
@@ -130,6 +156,7 @@ class CentralDifference(Method):
             initial_energy=energy,
             supplied=energy,
             mass=mass,
+            damped=damped,
         )
 
     def step(self, model: Model, state: ExplicitState, dt, solvers, memory):
@@ -138,19 +165,26 @@ class CentralDifference(Method):
         def acceleration(load, internal):
             return ((load - internal) / mass).reshape(-1).at[held].set(0.0).reshape(-1, 6)
 
-        middle = state.rates + 0.5 * dt * acceleration(state.load, state.internal)
+        alpha = None if state.damped is None else state.damped.alpha
+        slowed = state.rates if alpha is None else state.rates * (1.0 - 0.5 * dt * alpha)
+        middle = slowed + 0.5 * dt * acceleration(state.load, state.internal)
         if model.moving:
             moved = model.held_increment(state.time, dt)
             middle = middle.reshape(-1).at[held].set(moved / dt).reshape(-1, 6)
         u = dt * middle
         x, R = state.x + u[:, :3], jnp.einsum("nij,njk->nik", jax.vmap(exp)(u[:, 3:]), state.R)
-        load, (internal, strain) = model.external_load(x, R, end), _internal(model, x, R, end)
+        before = None if state.damped is None else state.damped.deformations
+        load, (internal, strain, deformations) = model.external_load(x, R, end), _internal(model, x, R, end, before, dt)
         rates = middle + 0.5 * dt * acceleration(load, internal)
+        if alpha is not None:
+            rates = rates / (1.0 + 0.5 * dt * alpha)
         # Work by the trapezoidal rule; that of a moving support is done on the shell and on the mass it carries.
         work = state.external_work + 0.5 * jnp.sum((state.load + load) * u)
         work = work + model.work_of_rests((state.x, state.R, state.time), (x, R, end))
         if model.moving:
             against = 0.5 * (state.internal + internal - state.load - load) * u
+            if model.damping is not None and model.damping.alpha is not None:
+                against = against + _lumped(model, model.damping.alpha) * u * u / dt
             carried = 0.5 * mass * (rates**2 - state.rates**2)
             work = work + jnp.sum((against + carried).reshape(-1)[held])
         # The velocity at the end already holds the second half of this step's kick, whose work follows.
@@ -168,6 +202,7 @@ class CentralDifference(Method):
             initial_energy=state.initial_energy,
             supplied=supplied,
             mass=mass,
+            damped=_damped(model, state, u, deformations, dt),
         )
         # Written so that NaN fails too.
         stable = new.kinetic + strain <= _EXPLOSION * supplied
@@ -177,6 +212,8 @@ class CentralDifference(Method):
     def unbalanced(self, model: Model, before: ExplicitState, after: ExplicitState, dt):
         """The mean of the step's two kicks."""
         forces = 0.5 * (before.internal + after.internal - before.load - after.load)
+        if model.damping is not None and model.damping.alpha is not None:
+            forces = forces + 0.5 * _lumped(model, model.damping.alpha) * (before.rates + after.rates)
         return before.mass * (after.rates - before.rates) / dt + forces
 
     def observe(self, model: Model, state: ExplicitState) -> Observation:
@@ -184,33 +221,77 @@ class CentralDifference(Method):
         momentum = state.mass * state.rates
         angular = jnp.sum(jnp.cross(state.x, momentum[:, :3]) + momentum[:, 3:], axis=0)
         linear = jnp.sum(momentum[:, :3], axis=0)
-        return Observation(state.kinetic, state.strain, state.external_work, jnp.zeros(()), linear, angular)
+        dissipated = jnp.zeros(()) if state.damped is None else state.damped.dissipated
+        return Observation(state.kinetic, state.strain, state.external_work, dissipated, linear, angular)
 
 
 def lumped_mass(model: Model) -> Float[Array, "n 6"]:
     """A third of each element's mass and of its (ρh³/12)A at each of its nodes."""
+    return _lumped(model, None)
+
+
+def _lumped(model: Model, factors: Float[Array, " m"] | None) -> Float[Array, "n 6"]:
+    """`lumped_mass` with the elements' masses times these factors."""
     elements = model.elements
     third = jnp.stack([elements.mass_per_area, elements.rotary_inertia], axis=1) * elements.area[:, None] / 3.0
+    if factors is not None:
+        third = third * factors[:, None]
     corner = jnp.broadcast_to(third[:, None, :, None], (third.shape[0], 3, 2, 3))
     return model.tables.nodal(corner.reshape(-1, 6))
 
 
-def _internal(model: Model, x, R, time) -> tuple[Float[Array, "n 6"], Float[Array, ""]]:
-    """Internal forces and moments, and the strain energy, from one pass over the elements."""
+def _internal(model: Model, x, R, time, before=None, dt=None) -> tuple[Float[Array, "n 6"], Float[Array, ""], Any]:
+    """Internal forces and moments, the strain energy, and deformations, from one pass over the elements.
 
-    def one(x, R, element):
+    With deformations `before` (m, 12), a step `dt` ago, the forces hold those of a viscous material. Deformations are
+    returned where there is one, else None.
+    """
+    beta = None if model.damping is None else model.damping.beta
+
+    def one(x, R, element, beta, before):
         kin = corotational.kinematics(x, R, element)
         f = corotational.stresses(kin.deformations, element)
+        energy = 0.5 * jnp.sum(kin.deformations * f)
+        total = None if beta is None else corotational.total_deformations(kin, element)
+        if before is not None:
+            f = f + corotational.stresses(beta * (total - before) / dt, element)
         force = corotational.to_global(corotational.local_forces(kin, f), kin)
-        return force, 0.5 * jnp.sum(kin.deformations * f)
+        return force, energy, total
 
-    force, energy = jax.vmap(one)(model.gather(x), model.gather(R), model.elements_at((1.0, time)))
-    return model.assemble_vector(force), jnp.sum(energy)
+    elements = model.elements_at((1.0, time))
+    force, energy, deformations = jax.vmap(one)(model.gather(x), model.gather(R), elements, beta, before)
+    return model.assemble_vector(force), jnp.sum(energy), deformations
+
+
+def _nodal_alpha(model: Model, mass: Float[Array, "n 6"]) -> Float[Array, "n 6"] | None:
+    """α of each degree of freedom that is free, from the lumped masses of the elements around its node."""
+    assert model.damping is not None
+    if model.damping.alpha is None:
+        return None
+    ratio = _lumped(model, model.damping.alpha) / mass
+    return ratio.reshape(-1).at[model.tables.held].set(0.0).reshape(-1, 6)
+
+
+def _damped(model: Model, state: ExplicitState, u, deformations, dt) -> Damped | None:
+    """The state of damping after a step with the increments u, with what it has removed."""
+    if model.damping is None or state.damped is None:
+        return None
+    (alpha, beta), removed = model.damping, state.damped.dissipated
+    if alpha is not None:
+        removed = removed + jnp.sum(_lumped(model, alpha) * u * u) / dt
+    if beta is not None:
+        change = deformations - state.damped.deformations
+        squares = jax.vmap(lambda e, element: dot(e, corotational.stresses(e, element)))(change, model.elements)
+        removed = removed + jnp.sum(beta * squares) / dt
+    return Damped(removed, state.damped.alpha, deformations)
 
 
 @compiled
 def _stable_step(scene: Scene, tables: Tables) -> Float[Array, ""]:
-    """2/ω_max, ω_max the largest frequency of an element of the initial state with its own lumped mass."""
+    """2/ω_max, ω_max the largest frequency of an element of the initial state with its own lumped mass.
+
+    With viscous elements the smallest of their own √(β² + 4/ω²) - β, the bound at the top of this file.
+    """
     model = Model.build(scene, tables)
     x, R, _, _ = initial_motion(model, scene)
 
@@ -221,4 +302,7 @@ def _stable_step(scene: Scene, tables: Tables) -> Float[Array, ""]:
         return jnp.linalg.eigvalsh(0.5 * (K + K.T) * scale[:, None] * scale[None, :])[-1]
 
     squares = jax.vmap(largest)(model.gather(x), model.gather(R), model.elements_at((1.0, 0.0)))
+    if model.damping is not None and model.damping.beta is not None:
+        beta = model.damping.beta
+        return jnp.min(jnp.sqrt(beta**2 + 4.0 / squares) - beta)
     return 2.0 / jnp.sqrt(jnp.max(squares))

@@ -6,7 +6,7 @@ the step conserve linear and angular momentum and the energy to round-off, whate
 no accelerations and no history at Gauss points, so the step size may change freely.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,7 @@ from jaxshell.methods import predictor
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Motion, Observation
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import PredictedState
+from jaxshell.model.damping import Damping
 from jaxshell.numerics.checks import Real, check_within
 from jaxshell.numerics.products import cross, dot, product, scaled
 from jaxshell.numerics.rotations import cayley, skew
@@ -59,6 +60,7 @@ class ElementData(NamedTuple):
     inertia: DirectorMotion
     excess: Float[Array, "12"] | None = None
     """Deformations added at the end in the stresses, in the tangent of a mixed iteration only."""
+    damping: Damping | None = None
 
 
 class Shared(NamedTuple):
@@ -77,6 +79,9 @@ class EnergyMomentum(ImplicitMethod):
             the energy of a free shell never rises, and momenta stay conserved. It damps the highest
             frequencies most, and makes the method first order in Δt. The energy removed is recorded
             (`Solution.energy.dissipated`).
+
+    A scene's `RayleighDamping` is exact here too: β removes (β/Δt) ΔeᵀK̂Δe of every element in every step, as ξ does,
+    and α removes α Δt (v_mᵀ M v_m + ṫ_mᵀ J ṫ_m) with the mean velocities of nodes and directors. Both are recorded.
 
     The plain number 0 leaves dissipation out of the compiled program; other values are traced. External
     moments M do the work M·θ on the Cayley vectors θ of the steps (2 tan(½ angle) about the axis), which
@@ -109,13 +114,13 @@ class EnergyMomentum(ImplicitMethod):
     def element_forces(self, motion: Motion, u: Float[Array, "3 6"], data: ElementData, step: Shared) -> Forces:
         state = _evaluate(motion, u, data, step)
         elastic = energy_momentum.elastic_forces(state)
-        inertial = director_inertia_forces(u, data.inertia, data.element, step.dt)
+        inertial = director_inertia_forces(u, data.inertia, data.element, step.dt, _alpha(data))
         return Forces(elastic, inertial)
 
     def element_tangent(self, motion: Motion, u: Float[Array, "3 6"], data: ElementData, step: Shared):
         state = _evaluate(motion, u, data, step)
-        K = energy_momentum.elastic_tangent(state, data.start, data.element, step.dissipation)
-        K = K + director_inertia_tangent(motion, u, data.inertia, data.element, step.dt)
+        K = energy_momentum.elastic_tangent(state, data.start, data.element, _dissipation(data, step))
+        K = K + director_inertia_tangent(motion, u, data.inertia, data.element, step.dt, _alpha(data))
         return K
 
     # --- the shell -----------------------------------------------------------------------------------------
@@ -185,7 +190,7 @@ class EnergyMomentum(ImplicitMethod):
         motion = DirectorMotion(v, dot(R, normals), dot(W, normals))
         elements = model.elements_at((0.5, state.time), (0.5, state.time + dt))  # one stress-free state for the step
         kin = jax.vmap(corotational.kinematics)(x, R, elements)
-        data = ElementData(elements, StepStart(jax.vmap(edges_of)(x), kin), motion)
+        data = ElementData(elements, StepStart(jax.vmap(edges_of)(x), kin), motion, damping=model.damping)
         return Begun(data, Shared(dt, self.dissipation), middle(model.dead_load), state.time + dt)
 
     def finish(self, model: Model, state: EnergyMomentumState, dt, u, motion, begun) -> EnergyMomentumState:
@@ -193,7 +198,9 @@ class EnergyMomentum(ImplicitMethod):
         work = self.work_of_loads(model, state, begun, motion, u)
         work = work + model.work_of_rests((state.x, state.R, state.time), (motion.x, motion.R, begun.end))
         dissipated = state.dissipated
-        if self._dissipates:
+        if model.damping is not None:
+            dissipated = dissipated + self._removed(model, data, step, u, motion)
+        elif self._dissipates:
             x, R = model.gather((motion.x, motion.R))
             kin = jax.vmap(corotational.kinematics)(x, R, data.element)
             change = kin.deformations - data.start.kin.deformations
@@ -211,6 +218,26 @@ class EnergyMomentum(ImplicitMethod):
             dissipated=dissipated,
             rates=predictor.remember(state.rates, u, dt),
         )
+
+    def _removed(self, model: Model, data: ElementData, step: Shared, u, motion) -> Float[Array, ""]:
+        """What a damped shell loses in the step: by α, and by β and ξ, whose forces do just this work."""
+
+        def one(u, x, R, data):
+            total = jnp.zeros(())
+            if data.damping.beta is not None or self._dissipates:
+                change = corotational.kinematics(x, R, data.element).deformations - data.start.kin.deformations
+                work = dot(change, corotational.stresses(change, data.element))
+                total = total + _dissipation(data, step) * work
+            if data.damping.alpha is not None:
+                # A motion that begins with the step's mean rates has no acceleration: what is left are the forces of α.
+                _, change = _director_change(u, data.inertia)
+                mean = DirectorMotion(u[:, :3] / step.dt, data.inertia.director, change / step.dt)
+                forces = director_inertia_forces(u, mean, data.element, step.dt, data.damping.alpha)
+                total = total + jnp.sum(forces * u.reshape(18))
+            return total
+
+        u, x, R = model.gather((u, motion.x, motion.R))
+        return jnp.sum(jax.vmap(one)(u, x, R, data))
 
     def observe(self, model: Model, state: EnergyMomentumState) -> Observation:
         """Energies and momenta, eqs. (27), (28), (34), (61), with the masses that the scheme conserves them with."""
@@ -232,7 +259,19 @@ class EnergyMomentum(ImplicitMethod):
 
 
 def _evaluate(motion: Motion, u, data: ElementData, step: Shared) -> energy_momentum.StepState:
-    return energy_momentum.evaluate(data.start, motion.x, motion.R, u, data.element, step.dissipation, data.excess)
+    dissipation = _dissipation(data, step)
+    return energy_momentum.evaluate(data.start, motion.x, motion.R, u, data.element, dissipation, data.excess)
+
+
+def _dissipation(data: ElementData, step: Shared) -> Real:
+    """ξ + β/Δt of an element: a viscous material's stresses K̂ β Δe/Δt are those of that dissipation."""
+    if data.damping is None or data.damping.beta is None:
+        return step.dissipation
+    return step.dissipation + data.damping.beta / step.dt
+
+
+def _alpha(data: ElementData) -> Any:
+    return None if data.damping is None else data.damping.alpha
 
 
 # --- one element: inertia --------------------------------------------------------------------
@@ -251,16 +290,29 @@ def _uneven_mass(element: Element) -> Float[Array, "3 3"] | None:
     return scaled(element.first_moment * element.area, jnp.asarray(LINEAR_MASS))
 
 
-def _director_step(u, start: DirectorMotion, element: Element, dt):
-    """Mid-point directors t_m (3, 3), and the rates of the momenta of velocities and directors, (3, 3) each.
-
-    Σ_b M_ab (v₁ - v₀)_b/Δt and Σ_b J_ab (ṫ₁ - ṫ₀)_b/Δt, each with the other's changes where ∫ρz dz couples them.
-    """
+def _director_change(u, start: DirectorMotion):
+    """Mid-point directors t_m (3, 3) and their change t₁ - t₀ (3, 3) in the step."""
     # t_m = ½ (I + cay(θ)) t₀, from t₁ - t₀ = θ × t_m.
     middle = jax.vmap(lambda A, t: product(A, t))(jax.vmap(mid_matrix)(u[:, 3:]), start.director)
-    change = cross(u[:, 3:], middle)
+    return middle, cross(u[:, 3:], middle)
+
+
+def _rate_of_change(change, rate, dt, alpha):
+    """(rate₁ - rate₀)/Δt (3, 3) where Δt ½(rate₁ + rate₀) is the `change`, plus α times the mean rate."""
+    mean = change / dt
+    found = 2.0 * (mean - rate) / dt
+    return found if alpha is None else found + alpha * mean
+
+
+def _director_step(u, start: DirectorMotion, element: Element, dt, alpha):
+    """Mid-point directors t_m (3, 3), and the rates of the momenta of velocities and directors, (3, 3) each.
+
+    Σ_b M_ab ((v₁ - v₀)/Δt + α v_m)_b and Σ_b J_ab ((ṫ₁ - ṫ₀)/Δt + α ṫ_m)_b, each with the other's changes where ∫ρz dz
+    couples them.
+    """
+    middle, change = _director_change(u, start)
     mass, rotary = _masses(element)
-    faster, turned = 2.0 * (u[:, :3] / dt - start.v) / dt, 2.0 * (change / dt - start.rate) / dt
+    faster, turned = _rate_of_change(u[:, :3], start.v, dt, alpha), _rate_of_change(change, start.rate, dt, alpha)
     force, spin = product(mass, faster), product(rotary, turned)
     uneven = _uneven_mass(element)
     if uneven is not None:
@@ -268,16 +320,20 @@ def _director_step(u, start: DirectorMotion, element: Element, dt):
     return middle, force, spin
 
 
-def director_inertia_forces(u, start: DirectorMotion, element: Element, dt) -> Float[Array, "18"]:
-    """Rate of momentum as force, and moment t_m,a × (rate of the director's momentum), on every node a."""
-    middle, force, spin = _director_step(u, start, element, dt)
+def director_inertia_forces(u, start: DirectorMotion, element: Element, dt, alpha=None) -> Float[Array, "18"]:
+    """Rate of momentum as force, and moment t_m,a × (rate of the director's momentum), on every node a.
+
+    Mass-proportional damping `alpha`, where it is not None, adds α times the mean momenta to the rates.
+    """
+    middle, force, spin = _director_step(u, start, element, dt, alpha)
     return jnp.stack([force, cross(middle, spin)], axis=1).reshape(18)
 
 
-def director_inertia_tangent(motion: Motion, u, start: DirectorMotion, element: Element, dt):
+def director_inertia_tangent(motion: Motion, u, start: DirectorMotion, element: Element, dt, alpha=None):
     """Derivative of `director_inertia_forces` by u, (18, 18)."""
-    mass, rotary = (2.0 / dt**2 * m for m in _masses(element))
-    middle, _, rate = _director_step(u, start, element, dt)
+    factor = 2.0 / dt**2 if alpha is None else 2.0 / dt**2 + alpha / dt
+    mass, rotary = (factor * m for m in _masses(element))
+    middle, _, rate = _director_step(u, start, element, dt, alpha)
     end = 2.0 * middle - start.director
     skews = jax.vmap(skew)
     by_theta = -jax.vmap(product)(skews(end), motion.spin)  # δt₁ = δω × t₁
@@ -290,7 +346,7 @@ def director_inertia_tangent(motion: Motion, u, start: DirectorMotion, element: 
     coupling = lever = jnp.zeros_like(forces)
     uneven = _uneven_mass(element)
     if uneven is not None:
-        uneven = 2.0 / dt**2 * uneven
+        uneven = factor * uneven
         coupling = uneven[:, None, :, None] * jnp.transpose(by_theta, (1, 0, 2))[None]
         lever = uneven[:, None, :, None] * skews(middle)[:, :, None, :]
     rows = [jnp.stack([forces, coupling], axis=3), jnp.stack([lever, moments], axis=3)]

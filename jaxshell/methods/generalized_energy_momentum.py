@@ -17,7 +17,7 @@ from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational, inertia
 from jaxshell.elements.corotational import Element, Kinematics
 from jaxshell.elements.inertia import Spins, StepFactors
-from jaxshell.methods import predictor, seven_point, traditional
+from jaxshell.methods import damping, predictor, seven_point, traditional
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
 from jaxshell.methods.state import PredictedState
@@ -37,6 +37,8 @@ class GEMState(PredictedState):
     external_work: Float[Array, ""]
     rates: predictor.Rates
     """Of the last steps, for the predictor."""
+    damped: damping.DampedState | None = None
+    """Of a scene with damping."""
 
 
 class ElementData(NamedTuple):
@@ -51,6 +53,7 @@ class ElementData(NamedTuple):
     R: Float[Array, "3 3 3"]
     spins: Any
     """`PointStart` at the Gauss points (7, ...), `Spins` at the nodes (3, ...), or None."""
+    damped: damping.Damped | None = None
 
 
 class Shared(NamedTuple):
@@ -102,37 +105,40 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
     def element_forces(self, motion, u, data: ElementData, step: Shared) -> Forces:
         factors, element = step.factors, data.element
         kin = corotational.kinematics(motion.x, motion.R, element)
-        f = corotational.stresses(_weighted(kin, data.start, step), element)
+        f, alpha = _stresses(kin, data, step), damping.alpha_of(data.damped)
         elastic = factors.mid(
             corotational.to_global(corotational.local_forces(kin, f), kin),
             corotational.to_global(corotational.local_forces(data.start, f), data.start),
             factors.alpha_f,
         )
         points = data.spins if self.inertia == "seven_point" else None
-        inertial = seven_point.inertial_forces(u[:, :3], motion.theta, data.v, data.a, points, element, factors)
+        inertial = seven_point.inertial_forces(u[:, :3], motion.theta, data.v, data.a, points, element, factors, alpha)
         if self.inertia == "traditional":
-            moment = traditional.moments(motion, data.R, data.spins, element, factors)
+            moment = traditional.moments(motion, data.R, data.spins, element, factors, alpha)
             inertial = inertial + jnp.pad(moment, ((0, 0), (3, 0))).reshape(18)
         return Forces(elastic, inertial)
 
     def element_tangent(self, motion, u, data: ElementData, step: Shared):
         factors, element = step.factors, data.element
         kin = corotational.kinematics(motion.x, motion.R, element)
-        f = corotational.stresses(_weighted(kin, data.start, step), element)
+        f, alpha = _stresses(kin, data, step), damping.alpha_of(data.damped)
+        material = 1.0 - factors.alpha_f + step.xi
+        if data.damped is not None:
+            material = material + damping.viscous_material(data.damped, factors, factors.alpha_f)
         K = corotational.stiffness(  # eq. (97)
             kin,
             f,
             element,
             motion.spin,
-            material=1.0 - factors.alpha_f + step.xi,
+            material=material,
             geometric=1.0 - factors.alpha_f,
             average=lambda Lambda: factors.mid(Lambda, data.Lambda, factors.alpha_f),
         )
         points = data.spins if self.inertia == "seven_point" else None
-        acceleration = seven_point.mid_acceleration(u[:, :3], data.v, data.a, factors)
-        K = K + seven_point.inertial_tangent(motion.theta, points, element, factors, acceleration)  # eq. (95)
+        acceleration = seven_point.mid_acceleration(u[:, :3], data.v, data.a, factors, alpha)
+        K = K + seven_point.inertial_tangent(motion.theta, points, element, factors, acceleration, alpha)  # eq. (95)
         if self.inertia == "traditional":
-            blocks = traditional.stiffness(motion, data.R, data.spins, element, factors)
+            blocks = traditional.stiffness(motion, data.R, data.spins, element, factors, alpha)
             K = K + jnp.pad(blocks, [(0, 0), (3, 0)] * 2).reshape(18, 18)
         return K
 
@@ -144,7 +150,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
     def start(self, model: Model, scene, time) -> GEMState:
         x, R, v, omega = initial_motion(model, scene)
         if self.initial_acceleration == "consistent":
-            a = initial_translational_acceleration(model, x, R, time)
+            a = initial_translational_acceleration(model, x, R, time, v, omega)
         else:
             a = jnp.zeros_like(v)
         spins = self._initial_spins(model, R, omega)
@@ -158,6 +164,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             spins=spins,
             external_work=jnp.zeros(()),
             rates=rates,
+            damped=damping.initial_state(model, x, R, v, omega, a),
         )
 
     def _initial_spins(self, model: Model, R, omega) -> Spins | None:
@@ -173,6 +180,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         loads = factors.mid(model.dead_load(end), model.dead_load(start), factors.alpha_f)
         if model.contributions:
             loads = loads + factors.alpha_f * model.following_load(state.x, state.R, start)
+        damped = damping.begin(model, state.damped, state.x, state.R)
         x, R, v, a = model.gather((state.x, state.R, state.v, state.a))
         spins = None
         if self.inertia == "seven_point":
@@ -183,7 +191,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         elements = model.elements_at((1.0 - factors.alpha_f, end), (factors.alpha_f, start))
         kin = jax.vmap(corotational.kinematics)(x, R, elements)
         Lambda = jax.vmap(lambda kin: corotational.gradient_to_global(corotational.deformation_gradient(kin), kin))(kin)
-        data = ElementData(elements, kin, Lambda, v, a, R, spins)
+        data = ElementData(elements, kin, Lambda, v, a, R, spins, damped)
         return Begun(data, Shared(factors, jnp.asarray(self.dissipation)), loads, end)
 
     def finish(self, model: Model, state: GEMState, dt, u, motion, begun) -> GEMState:
@@ -195,6 +203,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             spins = jax.vmap(inertia.end_of_step, in_axes=(0, 0, None))(motion.theta, spins, factors)
         work = self.work_of_loads(model, state, begun, motion, u)
         work = work + model.work_of_rests((state.x, state.R, state.time), (motion.x, motion.R, begun.end))
+        turning = self._turning(model, u, state.spins)
         return GEMState(
             time=begun.end,
             x=motion.x,
@@ -204,7 +213,18 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             spins=spins,
             external_work=state.external_work + work,
             rates=predictor.remember(state.rates, u, dt),
+            damped=damping.finish(state.damped, model, begun.data.damped, motion, u, turning, factors),
         )
+
+    def _turning(self, model: Model, u, spins) -> Any:
+        """Σ θ·I_ρ θ in each element (m,), where damping asks for it."""
+        if model.damping is None or model.damping.alpha is None:
+            return None
+        if self.inertia == "none":
+            return jnp.zeros_like(model.elements.area)
+        if self.inertia == "traditional":
+            return traditional.turning(model, u[:, 3:], spins)
+        return damping.turning_of_points(model, u, spins)
 
     def observe(self, model: Model, state: GEMState) -> Observation:
         """Energies and momenta, eqs. (27), (28), (34), (61)."""
@@ -215,10 +235,15 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             turning, spin_momentum = traditional.energy_and_momentum(model, state.spins)
             kinetic, angular = kinetic + turning, angular + spin_momentum
         strain = model.strain_energy(state.x, state.R, state.time)
-        return Observation(kinetic, strain, state.external_work, jnp.zeros(()), linear, angular)
+        dissipated = damping.dissipated(state.damped)
+        return Observation(kinetic, strain, state.external_work, dissipated, linear, angular)
 
 
-def _weighted(kin: Kinematics, start: Kinematics, step: Shared) -> Float[Array, "12"]:
-    """Deformations weighted as in eq. (93)."""
+def _stresses(kin: Kinematics, data: ElementData, step: Shared) -> Float[Array, "12"]:
+    """Of deformations weighted as in eq. (93), and of a viscous material."""
     alpha, xi = step.factors.alpha_f, step.xi
-    return (1.0 - alpha + xi) * kin.deformations + (alpha - xi) * start.deformations
+    weighted = (1.0 - alpha + xi) * kin.deformations + (alpha - xi) * data.start.deformations
+    f = corotational.stresses(weighted, data.element)
+    if data.damped is None:
+        return f
+    return f + damping.viscous_stresses(kin, data.damped, data.element, step.factors, alpha)

@@ -26,7 +26,7 @@ from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
 from jaxshell.elements.inertia import PointStart, Spins, StepFactors
-from jaxshell.methods import predictor, seven_point
+from jaxshell.methods import damping, predictor, seven_point
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
 from jaxshell.methods.state import PredictedState
@@ -48,6 +48,8 @@ class NewmarkState(PredictedState):
     """Of the last balance at the held degrees of freedom; (0,) where no support moves."""
     rates: predictor.Rates
     """Of the last steps, for the predictor."""
+    damped: damping.DampedState | None = None
+    """Of a scene with damping."""
 
 
 class ElementData(NamedTuple):
@@ -57,6 +59,7 @@ class ElementData(NamedTuple):
     v: Float[Array, "3 3"]
     a: Float[Array, "3 3"]
     points: PointStart
+    damped: damping.Damped | None = None
 
 
 class ForceLevelMethod(ImplicitMethod):
@@ -72,17 +75,24 @@ class ForceLevelMethod(ImplicitMethod):
     # --- one element ---------------------------------------------------------------------------------------
 
     def element_forces(self, motion, u, data: ElementData, step: StepFactors) -> Forces:
-        elastic = corotational.internal_force(motion.x, motion.R, data.element)
-        inertial = seven_point.inertial_forces(u[:, :3], motion.theta, data.v, data.a, data.points, data.element, step)
+        alpha = damping.alpha_of(data.damped)
+        kin = corotational.kinematics(motion.x, motion.R, data.element)
+        elastic = corotational.to_global(corotational.local_forces(kin, _stresses(kin, data, step)), kin)
+        inertial = seven_point.inertial_forces(
+            u[:, :3], motion.theta, data.v, data.a, data.points, data.element, step, alpha
+        )
         return Forces((1.0 - step.alpha_f) * elastic, inertial)
 
     def element_tangent(self, motion, u, data: ElementData, step: StepFactors):
         kin = corotational.kinematics(motion.x, motion.R, data.element)
-        f = corotational.stresses(kin.deformations, data.element)
-        weight = 1.0 - step.alpha_f
-        K = corotational.stiffness(kin, f, data.element, motion.spin, material=weight, geometric=weight)
-        acceleration = seven_point.mid_acceleration(u[:, :3], data.v, data.a, step)
-        return K + seven_point.inertial_tangent(motion.theta, data.points, data.element, step, acceleration)
+        f = _stresses(kin, data, step)
+        weight = material = 1.0 - step.alpha_f
+        if data.damped is not None:
+            material = weight * (1.0 + damping.viscous_material(data.damped, step, 0.0))
+        K = corotational.stiffness(kin, f, data.element, motion.spin, material=material, geometric=weight)
+        alpha = damping.alpha_of(data.damped)
+        acceleration = seven_point.mid_acceleration(u[:, :3], data.v, data.a, step, alpha)
+        return K + seven_point.inertial_tangent(motion.theta, data.points, data.element, step, acceleration, alpha)
 
     # --- the shell -----------------------------------------------------------------------------------------
 
@@ -94,17 +104,21 @@ class ForceLevelMethod(ImplicitMethod):
         reaction = jnp.zeros(0)
         if model.moving:
             force = model.internal_force(x, R, time) - model.external_load(x, R, jnp.asarray(time))
+            if model.damping is not None:
+                force = force + damping.initial_force(model, x, R, v, omega)
             reaction = force.reshape(-1)[model.tables.held]
+        a = initial_translational_acceleration(model, x, R, time, v, omega)
         return NewmarkState(
             time=jnp.asarray(time, float),
             x=x,
             R=R,
             v=v,
-            a=initial_translational_acceleration(model, x, R, time),
+            a=a,
             spins=seven_point.initial_spins(model, R, omega),
             external_work=jnp.zeros(()),
             reaction=reaction,
             rates=predictor.initial_rates(v, omega),
+            damped=damping.initial_state(model, x, R, v, omega, a),
         )
 
     def begin(self, model: Model, state: NewmarkState, dt):
@@ -114,10 +128,13 @@ class ForceLevelMethod(ImplicitMethod):
         if not self.balance_at_end:
             before = state.x, state.R, state.time
             earlier = model.external_load(*before) - model.internal_force(*before)
+            if state.damped is not None and state.damped.rates is not None:
+                earlier = earlier - damping.viscous_force(model, state.x, state.R, state.damped.rates.first)
             loads = loads + factors.alpha_f * earlier
         v, a = model.gather((state.v, state.a))
         points = seven_point.points_at_start(model, state.spins)
-        return Begun(ElementData(model.elements_at((1.0, end)), v, a, points), factors, loads, end)
+        damped = damping.begin(model, state.damped, state.x, state.R)
+        return Begun(ElementData(model.elements_at((1.0, end)), v, a, points, damped), factors, loads, end)
 
     def finish(self, model: Model, state: NewmarkState, dt, u, motion, begun) -> NewmarkState:
         factors = begun.step
@@ -131,6 +148,7 @@ class ForceLevelMethod(ImplicitMethod):
             reaction = self.balance(model, state, begun, u).residual.reshape(-1)[model.tables.held]
             middle = (0.5 + factors.alpha_f) * reaction + (0.5 - factors.alpha_f) * state.reaction
             work = work + jnp.sum(middle * u.reshape(-1)[model.tables.held])
+        turning = damping.turning_of_points(model, u, state.spins)
         return NewmarkState(
             time=begun.end,
             x=motion.x,
@@ -141,13 +159,23 @@ class ForceLevelMethod(ImplicitMethod):
             external_work=state.external_work + work,
             reaction=reaction,
             rates=predictor.remember(state.rates, u, dt),
+            damped=damping.finish(state.damped, model, begun.data.damped, motion, u, turning, factors),
         )
 
     def observe(self, model: Model, state: NewmarkState) -> Observation:
         """Energies and momenta of the end of the step, eqs. (27), (28), (34), (61)."""
         kinetic, linear, angular = seven_point.kinetic_and_momenta(model, state.x, state.v, state.spins)
         strain = model.strain_energy(state.x, state.R, state.time)
-        return Observation(kinetic, strain, state.external_work, jnp.zeros(()), linear, angular)
+        dissipated = damping.dissipated(state.damped)
+        return Observation(kinetic, strain, state.external_work, dissipated, linear, angular)
+
+
+def _stresses(kin: corotational.Kinematics, data: ElementData, step: StepFactors) -> Float[Array, "12"]:
+    """At the end of the step, with those of a viscous material."""
+    f = corotational.stresses(kin.deformations, data.element)
+    if data.damped is None:
+        return f
+    return f + damping.viscous_stresses(kin, data.damped, data.element, step, 0.0)
 
 
 def step_factors(beta, gamma, alpha_m, alpha_f, dt) -> StepFactors:

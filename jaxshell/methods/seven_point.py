@@ -27,25 +27,28 @@ from jaxshell.numerics.rotations import exp, log, skew
 # --- one element ------------------------------------------------------------------------------------------
 
 
-def inertial_forces(increment, theta, v, a, points: PointStart | None, element: Element, factors: StepFactors):
+def inertial_forces(
+    increment, theta, v, a, points: PointStart | None, element: Element, factors: StepFactors, alpha=None
+):
     """f_iner of eqs. (40), (88), (18,): `increment`, `theta`, `v`, `a` are (3, 3), node by component.
 
-    `points` None leaves the rotary inertia out.
+    `points` None leaves the rotary inertia out. Mass-proportional damping `alpha`, where it is not None, adds α M v
+    with the velocities of n+1-αf.
     """
-    acceleration = mid_acceleration(increment, v, a, factors)
+    acceleration = mid_acceleration(increment, v, a, factors, alpha)
     mass = element.mass_per_area * element.area
     force = scaled(mass, product(jnp.asarray(LINEAR_MASS), acceleration))
     if points is None:
         return jnp.stack([force, jnp.zeros((3, 3))], axis=1).reshape(18)
-    moments = jax.vmap(inertia.point_inertia, in_axes=(0, 0, None))(
-        product(jnp.asarray(GAUSS_POINTS), theta), points, factors
+    moments = jax.vmap(lambda theta, point: inertia.point_inertia(theta, point, factors, alpha=alpha))(
+        product(jnp.asarray(GAUSS_POINTS), theta), points
     )
     moments = formed(moments)
     moment = scaled(element.area * element.rotary_inertia, product(jnp.asarray(_POINTS_TO_NODES), moments))
     if element.first_moment is not None:
         # ∫ρz dz couples the two: the force is that of ẗ, the moment t × a.
-        directors, changes = jax.vmap(inertia.point_director, in_axes=(0, 0, None))(
-            product(jnp.asarray(GAUSS_POINTS), theta), points, factors
+        directors, changes = jax.vmap(inertia.point_director, in_axes=(0, 0, None, None))(
+            product(jnp.asarray(GAUSS_POINTS), theta), points, factors, alpha
         )
         uneven = scaled(element.area * element.first_moment, jnp.asarray(_POINTS_TO_NODES))
         force = force + product(uneven, changes)
@@ -53,42 +56,50 @@ def inertial_forces(increment, theta, v, a, points: PointStart | None, element: 
     return jnp.stack([force, moment], axis=1).reshape(18)
 
 
-def inertial_tangent(theta, points: PointStart | None, element: Element, factors: StepFactors, acceleration=None):
+def inertial_tangent(
+    theta, points: PointStart | None, element: Element, factors: StepFactors, acceleration=None, alpha=None
+):
     """Derivative of `inertial_forces` by displacements and rotation vectors of the step, eqs. (51), (95); (18, 18).
 
     `acceleration` (3, 3), that of `mid_acceleration`, is needed where ∫ρz dz does not vanish.
     """
-    second = _second(factors)
+    second = _second(factors, alpha)
     K = second * element.mass_per_area * element.area * jnp.asarray(_TRANSLATIONAL_MASS)
     if points is None:
         return K
-    stiffness = jax.vmap(inertia.point_tangent, in_axes=(0, 0, None))(
-        product(jnp.asarray(GAUSS_POINTS), theta), points, factors
+    stiffness = jax.vmap(lambda theta, point: inertia.point_tangent(theta, point, factors, alpha=alpha))(
+        product(jnp.asarray(GAUSS_POINTS), theta), points
     )
     stiffness = formed(element.area * element.rotary_inertia * stiffness)
     K = K + corotational.on_rotations(_PAIR_WEIGHTS, stiffness)
     if element.first_moment is not None:
-        K = K + element.area * element.first_moment * _uneven_tangent(theta, points, acceleration, factors)
+        K = K + element.area * element.first_moment * _uneven_tangent(theta, points, acceleration, factors, alpha)
     return K
 
 
-def _second(factors: StepFactors):
-    """Derivative of the acceleration at t_{n+1-αm} by the increment."""
-    return (1.0 - factors.alpha_m) / (factors.beta * factors.dt**2)
+def _second(factors: StepFactors, alpha):
+    """Derivative of `mid_acceleration` by the increment."""
+    second = (1.0 - factors.alpha_m) / (factors.beta * factors.dt**2)
+    if alpha is not None:
+        second = second + alpha * (1.0 - factors.alpha_f) * factors.gamma / (factors.beta * factors.dt)
+    return second
 
 
-def mid_acceleration(increment, v, a, factors: StepFactors):
-    """Accelerations at t_{n+1-αm}."""
-    return factors.mid(factors.second(increment, v, a), a, factors.alpha_m)
+def mid_acceleration(increment, v, a, factors: StepFactors, alpha=None):
+    """Accelerations at t_{n+1-αm}; with mass-proportional damping `alpha` [1/time] plus α v at t_{n+1-αf}."""
+    acceleration = factors.mid(factors.second(increment, v, a), a, factors.alpha_m)
+    if alpha is not None:
+        acceleration = acceleration + alpha * factors.mid(factors.first(increment, v, a), v, factors.alpha_f)
+    return acceleration
 
 
-def _uneven_tangent(theta, points: PointStart, acceleration, factors: StepFactors) -> Float[Array, "18 18"]:
+def _uneven_tangent(theta, points: PointStart, acceleration, factors: StepFactors, alpha) -> Float[Array, "18 18"]:
     """Derivative of the forces of ∫ρz dz, over it and the area; `acceleration` (3, 3) of the nodes at the mid-point."""
     at_points, shape = product(jnp.asarray(GAUSS_POINTS), theta), jnp.asarray(GAUSS_POINTS)
     (directors, _), (turned, changed) = jax.vmap(
         lambda theta, point: (
-            inertia.point_director(theta, point, factors),
-            jax.jacfwd(inertia.point_director)(theta, point, factors),
+            inertia.point_director(theta, point, factors, alpha),
+            jax.jacfwd(inertia.point_director)(theta, point, factors, alpha),
         )
     )(at_points, points)
     moved = -jax.vmap(product)(jax.vmap(skew)(product(shape, acceleration)), turned)
@@ -97,7 +108,7 @@ def _uneven_tangent(theta, points: PointStart, acceleration, factors: StepFactor
     def pairs(blocks):  # between the nodes
         return jnp.einsum("abp,pij->aibj", weights, blocks)
 
-    by_displacement = _second(factors) * pairs(jax.vmap(skew)(directors))
+    by_displacement = _second(factors, alpha) * pairs(jax.vmap(skew)(directors))
     rows = [
         jnp.stack([jnp.zeros((3, 3, 3, 3)), pairs(changed)], axis=3),
         jnp.stack([by_displacement, pairs(moved)], axis=3),

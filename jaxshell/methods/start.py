@@ -6,6 +6,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.assembly.discretised import Model
 from jaxshell.elements.inertia import LINEAR_MASS
+from jaxshell.methods import damping
 from jaxshell.model.scene import Scene
 
 Nodal = Float[Array, "n 3"]
@@ -26,14 +27,18 @@ def initial_motion(model: Model, scene: Scene) -> tuple[Nodal, Float[Array, "n 3
     return x, R, rates[:, :3], rates[:, 3:]
 
 
-def initial_translational_acceleration(model: Model, x: Nodal, R: Float[Array, "n 3 3"], time) -> Nodal:
-    """d̈ from M d̈ = f_ext - f_int over the free displacements; zero at the held ones.
+def initial_translational_acceleration(
+    model: Model, x: Nodal, R: Float[Array, "n 3 3"], time, v: Nodal, omega: Nodal
+) -> Nodal:
+    """d̈ from M d̈ = f_ext - f_int - f_damp over the free displacements; zero at the held ones.
 
     The consistent mass matrix of linear triangles is well conditioned, so conjugate gradients preconditioned
     with its diagonal reach round-off in some thirty products.
     """
     n = model.x0.shape[0]
     force = model.external_load(x, R, time) - model.internal_force(x, R, time)
+    if model.damping is not None:
+        force = force - damping.initial_force(model, x, R, v, omega)
     is_free = jnp.zeros(6 * n).at[model.tables.free].set(1.0).reshape(n, 6)[:, :3]
     mass = model.elements.mass_per_area * model.elements.area
 

@@ -21,33 +21,46 @@ def initial_spins(R: Float[Array, "n 3 3"], omega: Float[Array, "n 3"]) -> Spins
     return Spins(R, material, jnp.zeros_like(material))
 
 
-def _accelerations(theta, spins: Spins, element: Element, factors: StepFactors) -> Float[Array, "3 3"]:
-    """∫ N_a I_ρ Ω̇ dA for the three nodes, at the generalised mid-point."""
+def _accelerations(theta, spins: Spins, element: Element, factors: StepFactors, alpha) -> Float[Array, "3 3"]:
+    """∫ N_a I_ρ (Ω̇ + α Ω) dA for the three nodes, at the generalised mid-point; α None is none."""
 
     def one(theta, spins):
         end = inertia.end_of_step(theta, spins, factors)
         acceleration = factors.mid(end.Omega_dot, spins.Omega_dot, factors.alpha_m)
+        if alpha is not None:
+            acceleration = acceleration + alpha * factors.mid(end.Omega, spins.Omega, factors.alpha_f)
         return inertia.apply_inertia(element.frame[2], element.rotary_inertia, acceleration)
 
     return element.area * product(jnp.asarray(LINEAR_MASS), jax.vmap(one)(theta, spins))
 
 
-def moments(motion, R_start, spins: Spins, element: Element, factors: StepFactors) -> Float[Array, "3 3"]:
+def moments(motion, R_start, spins: Spins, element: Element, factors: StepFactors, alpha=None) -> Float[Array, "3 3"]:
     """Inertial moments of one element on its nodes; `R_start` (3, 3, 3) are the rotations at the step's start."""
     R = factors.mid(motion.R, R_start, factors.alpha_f)
-    return dot(R, _accelerations(motion.theta, spins, element, factors)[:, None, :])
+    return dot(R, _accelerations(motion.theta, spins, element, factors, alpha)[:, None, :])
 
 
-def stiffness(motion, R_start, spins: Spins, element: Element, factors: StepFactors) -> Float[Array, "3 3 3 3"]:
+def stiffness(
+    motion, R_start, spins: Spins, element: Element, factors: StepFactors, alpha=None
+) -> Float[Array, "3 3 3 3"]:
     """Derivative of `moments` by the rotation vectors: axes (node, component, node, component)."""
     tensor = element.rotary_inertia * (jnp.eye(3) - element.frame[2][:, None] * element.frame[2][None])
     mass = element.area * jnp.asarray(LINEAR_MASS)
     R = factors.mid(motion.R, R_start, factors.alpha_f)
     second = (1.0 - factors.alpha_m) / (factors.beta * factors.dt**2)
+    if alpha is not None:
+        second = second + alpha * (1.0 - factors.alpha_f) * factors.gamma / (factors.beta * factors.dt)
     linear = second * jnp.einsum("ab,aij,jk,blk->aibl", mass, R, tensor, R_start)
-    turned = dot(motion.R, _accelerations(motion.theta, spins, element, factors)[:, None, :])
+    turned = dot(motion.R, _accelerations(motion.theta, spins, element, factors, alpha)[:, None, :])
     turning = (1.0 - factors.alpha_f) * jnp.einsum("aij,ajk->aik", jax.vmap(rotations.skew)(turned), motion.spin)
     return linear - jnp.einsum("aij,ab->aibj", turning, jnp.eye(3))
+
+
+def turning(model: Model, theta: Float[Array, "n 3"], spins: Spins) -> Float[Array, " m"]:
+    """Σ θ·I_ρ θ of a step's rotations in each element, as `energy_and_momentum` weights angular velocities."""
+    elements, material = model.elements, model.gather(jnp.einsum("nij,ni->nj", spins.R, theta))
+    turned = inertia.apply_inertia(elements.frame[:, None, 2], 1.0, jnp.asarray(LINEAR_MASS) @ material)
+    return elements.area * elements.rotary_inertia * jnp.sum(material * turned, axis=(1, 2))
 
 
 def energy_and_momentum(model: Model, spins: Spins):

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxshell.model.contribution import Contribution
+from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.loads import InitialStrains, Load
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sections import AnySection, Regions
@@ -110,6 +111,7 @@ class Scene(eqx.Module):
         watch: {label: (node, component)}, component out of ux, uy, uz, vx, vy, vz; kept at every step. Or the same as
             (label, node, component), as a scene has it: so `dataclasses.replace` makes a scene that differs in a part.
         defaults: suggested time step, duration and methods (used by the command line only).
+        damping: `RayleighDamping`, or None. Runs in time have it; statics and frequencies do not look at it.
 
     Units are the user's, consistently. Raises ValueError for loads and supports on nodes that do not
     exist, for a degree of freedom prescribed twice, for values per element or node of another length.
@@ -123,6 +125,7 @@ class Scene(eqx.Module):
     name: str = eqx.field(static=True)
     watch: tuple[tuple[str, int, str], ...] = eqx.field(static=True)
     defaults: Defaults | None = eqx.field(static=True)
+    damping: RayleighDamping | None
 
     def __init__(
         self,
@@ -134,6 +137,7 @@ class Scene(eqx.Module):
         name: str = "scene",
         watch: Mapping[str, tuple[int, str]] | Sequence[tuple[str, int, str]] | None = None,
         defaults: Defaults | None = None,
+        damping: RayleighDamping | None = None,
     ):
         check_kind("mesh", mesh, Mesh, "a jaxshell.Mesh")
         if isinstance(section, Mapping | list | tuple):
@@ -147,6 +151,7 @@ class Scene(eqx.Module):
         self.name = name
         self.watch = _watched(watch)
         self.defaults = defaults
+        self.damping = damping
 
     def __check_init__(self):
         n = self.mesh.n_nodes
@@ -154,6 +159,9 @@ class Scene(eqx.Module):
         check_kind("initial", self.initial, Initial | None, "a jaxshell.Initial or None")
         _check_defaults(self.defaults)
         self.section.check(self.mesh)
+        check_kind("damping", self.damping, RayleighDamping | None, "a jaxshell.RayleighDamping or None")
+        if self.damping is not None:
+            self.damping.check(self.mesh)
         for kind, objects in (("support", self.supports), ("load", self.loads)):
             for position, item in enumerate(objects):
                 nodes = getattr(item, "nodes", None)

@@ -28,6 +28,7 @@ class RESULTS(eqx.Enumeration):
     step_too_small = "Step control reached its smallest step. Loosen the tolerance or lower `smallest`."
     interrupted = "The run was stopped before its end; what it had computed is kept."
     unstable = "The explicit method became unstable. Use a time step below the critical one."
+    not_at_rest = "Allow more steps, or a larger tolerance; a shell that nothing holds moves on for ever."
 
 
 class Energy(eqx.Module):
@@ -38,7 +39,7 @@ class Energy(eqx.Module):
     external_work: Float[Array, " k"]
     """Work of the loads and of moving supports since the start."""
     dissipated: Float[Array, " k"]
-    """Energy that the method's numerical dissipation removed, where it accounts for it; zero otherwise."""
+    """Energy that the scene's damping removed, and the method's numerical dissipation where it accounts for it."""
 
     @property
     def total(self) -> Float[Array, " k"]:

@@ -9,6 +9,7 @@ import h5py
 import jax.numpy as jnp
 import numpy as np
 
+from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.history import History
 from jaxshell.model.loads import LOADS
 from jaxshell.model.materials import MATERIALS
@@ -21,7 +22,8 @@ from jaxshell.numerics.frozen import Frozen
 from jaxshell.results.checked import has, read_text, write_array, write_attribute, write_text
 
 _KINDS = {
-    kind.__name__: kind for kind in (Mesh, *SECTIONS, Ply, Cylindrical, *MATERIALS, Support, History, Initial, *LOADS)
+    kind.__name__: kind
+    for kind in (Mesh, *SECTIONS, Ply, Cylindrical, *MATERIALS, Support, History, Initial, RayleighDamping, *LOADS)
 }
 _LIST, _SETS = "list", "sets"
 """The kinds of groups that hold a tuple of objects or arrays, and named sets."""
@@ -47,7 +49,7 @@ def tuples(value) -> Any:
 
 def write_scene(group, scene: Scene) -> None:
     """Store a scene, which must be concrete, in an empty group."""
-    for name in ("mesh", "section", "initial"):
+    for name in ("mesh", "section", "initial", "damping"):
         _write_field(group, name, getattr(scene, name))
     for name in ("supports", "loads"):
         items = group.create_group(name)
@@ -83,6 +85,7 @@ def _scene(group) -> Scene:
         name=read_text(group, "name"),
         watch={label: (node, component) for label, node, component in json.loads(read_text(group, "watch"))},
         defaults=None if defaults is None else Defaults(**tuples(defaults)),
+        damping=_read_object(group["damping"]) if "damping" in group else None,
     )
 
 
