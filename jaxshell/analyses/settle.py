@@ -18,10 +18,9 @@ from jaxshell.analyses.driver import Log, Setup, SimulationError, check_options,
 from jaxshell.analyses.program import Carry, Plan
 from jaxshell.analyses.progress import Progress
 from jaxshell.analyses.stability import critical
-from jaxshell.analyses.statics import DEFAULT_NEWTON
 from jaxshell.assembly.discretised import Model
 from jaxshell.methods.settling import Settling, SettlingState
-from jaxshell.methods.static import Static, StaticState
+from jaxshell.methods.static import Static
 from jaxshell.model.history import History
 from jaxshell.model.mechanisms import check_supported
 from jaxshell.model.scene import Scene
@@ -88,7 +87,8 @@ def settle(
             last step moved no node by more than this part of the shell's size, or radians, and the kinetic energy is
             below this part of the strain energy.
         max_steps: so many steps at most.
-        newton, linear_solver, save_every, progress, output: as in `solve_static`.
+        newton: how the steps' equations are solved; None is Newton's full method to a tenth of `tolerance`.
+        linear_solver, save_every, progress, output: as in `solve_static`.
         throw: raise `SimulationError` where the shell does not come to rest (it carries the solution so far);
             otherwise the solution's `result` (`RESULTS.not_at_rest`, or Newton's failure) and `message` say so.
 
@@ -101,11 +101,11 @@ def settle(
     is compiled: take derivatives through `solve_static`, started from the rest state as the scene's `initial`.
     """
     require_float64()
-    newton = DEFAULT_NEWTON if newton is None else newton
+    check_within("tolerance", tolerance, 1e-12, 1e-2)
+    newton = Newton(tolerance=0.1 * tolerance, reuse=False) if newton is None else newton
     check_options(scene, Settling(), save_every, "closed_form", newton)
     if dt is not None:
         check_positive_number("dt", dt)
-    check_within("tolerance", tolerance, 1e-13, 1e-2)
     check_count("max_steps", max_steps)
     if is_traced(scene, newton, dt):
         raise ValueError(
@@ -180,9 +180,8 @@ def _advance(model: Model, plan: Plan, state: SettlingState, memory, step):
     """State, memory, result, record, frame and distance from rest of a step."""
     before = state
     state, info, memory = plan.method.step(model, before, step, plan.solvers, memory)
-    still = StaticState(state.time, state.d, state.R, jnp.zeros_like(state.d), state.external_work)
-    begun = _STATIC.begin(model, still, jnp.zeros(()))
-    balance = _STATIC.balance(model, still, begun, jnp.zeros_like(state.velocities))
+    begun = _STATIC.begin(model, state, jnp.zeros(()))
+    balance = _STATIC.balance(model, state, begun, jnp.zeros_like(state.velocities))
     carried = balance.residual.reshape(-1)[model.tables.held]
     record = program.record(
         model, plan, state, carried, info.iterations, info.factorizations, info.result == SUCCESSFUL
@@ -202,8 +201,7 @@ def _advance(model: Model, plan: Plan, state: SettlingState, memory, step):
 @compiled
 def _pushed(model: Model, plan: Plan, state: SettlingState):
     """The state moved a little along its critical motion, and whether the equilibrium that it was is stable."""
-    still = StaticState(state.time, state.d, state.R, jnp.zeros_like(state.d), state.external_work)
-    weakest, _ = critical(model, plan.solvers, still, still, None)
+    weakest, _ = critical(model, plan.solvers, state, state, None)
     move = NUDGE * model.size * weakest.mode
     turned = jax.vmap(rotations.exp)(move[:, 3:]) @ state.R
     return eqx.tree_at(lambda s: (s.d, s.R), state, (state.d + move[:, :3], turned)), weakest.quotient > 0
