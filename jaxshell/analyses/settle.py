@@ -1,8 +1,8 @@
 """Dynamic relaxation: `settle` lets a shell under its final loads move, loses its energy, and ends where it rests.
 
 Steps are those of `jaxshell.methods.settling`: backward Euler, with the shell's own inertia. Each is one compiled
-program; the host doubles a step that Newton solves easily and quarters one that it does not. It is at rest when the
-static balance holds without inertia, nothing moves any more, and no kinetic energy is left.
+program; the host doubles a step that Newton solves easily and quarters one that it does not, or that gains energy. The
+shell is at rest when the static balance holds without inertia, nothing moves any more, and no kinetic energy is left.
 """
 
 from typing import NamedTuple
@@ -10,18 +10,18 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.analyses import program
 from jaxshell.analyses.branches import NUDGE
 from jaxshell.analyses.driver import Log, Setup, SimulationError, check_options, is_traced, result_of, set_up, single
-from jaxshell.analyses.program import Carry, Plan
+from jaxshell.analyses.program import Carry, Plan, Record
 from jaxshell.analyses.progress import Progress
 from jaxshell.analyses.stability import critical
-from jaxshell.analyses.statics import DEFAULT_NEWTON
 from jaxshell.assembly.discretised import Model
 from jaxshell.methods.settling import Settling, SettlingState
-from jaxshell.methods.static import Static, StaticState
+from jaxshell.methods.static import Static
 from jaxshell.model.history import History
 from jaxshell.model.mechanisms import check_supported
 from jaxshell.model.scene import Scene
@@ -40,6 +40,9 @@ _PERIOD = 0.1
 """The first step, of √(m L⁴/D): a sixtieth of the period of a cantilever as long as the shell is large, about."""
 _GROWTH, _CUT, _EASY = 2.0, 0.25, 12
 """Steps grow where Newton takes no more iterations than that, and are cut where it fails."""
+_RISES = 1e-9
+"""A step after which K + S - W is larger, by more than this part of the terms, is cut too: a large step of backward
+Euler is one of Newton's method, which does not mind whether it climbs to an equilibrium that is unstable."""
 _SMALLEST = 1e-8
 """Of the first step: below it a step that fails ends the run."""
 _RAMP = 10
@@ -88,7 +91,8 @@ def settle(
             last step moved no node by more than this part of the shell's size, or radians, and the kinetic energy is
             below this part of the strain energy.
         max_steps: so many steps at most.
-        newton, linear_solver, save_every, progress, output: as in `solve_static`.
+        newton: how the steps' equations are solved; None is Newton's full method to a tenth of `tolerance`.
+        linear_solver, save_every, progress, output: as in `solve_static`.
         throw: raise `SimulationError` where the shell does not come to rest (it carries the solution so far);
             otherwise the solution's `result` (`RESULTS.not_at_rest`, or Newton's failure) and `message` say so.
 
@@ -101,11 +105,11 @@ def settle(
     is compiled: take derivatives through `solve_static`, started from the rest state as the scene's `initial`.
     """
     require_float64()
-    newton = DEFAULT_NEWTON if newton is None else newton
+    check_within("tolerance", tolerance, 1e-12, 1e-2)
+    newton = Newton(tolerance=0.1 * tolerance, reuse=False) if newton is None else newton
     check_options(scene, Settling(), save_every, "closed_form", newton)
     if dt is not None:
         check_positive_number("dt", dt)
-    check_within("tolerance", tolerance, 1e-13, 1e-2)
     check_count("max_steps", max_steps)
     if is_traced(scene, newton, dt):
         raise ValueError(
@@ -130,19 +134,20 @@ def _driven(setup: Setup, dt, tolerance: float, max_steps: int, output, bar) -> 
     record, frame = program.first(model, setup.plan, state)
     log = Log(setup.scene, setup.plan, output, {"dt": float(dt), "tolerance": tolerance, "max_steps": max_steps})
     ramped, smallest = begin + _RAMP * dt, _SMALLEST * dt
-    step, code, rest, pushes = dt, NOT_AT_REST, None, 0
+    step, code, rest, pushes, energy = dt, NOT_AT_REST, None, 0, np.inf
     with log:
         log.append(single(record), single(frame))
         while log.steps < max_steps:
             found = _advance(model, setup.plan, state, memory, jnp.asarray(step))
             new, memory, code, record, frame, rest = found
-            if int(code) != SUCCESSFUL:
-                step *= _CUT
+            still = float(new.time) > ramped or not model.moving
+            left, scale = _energy(record)
+            if int(code) != SUCCESSFUL or (still and left > energy + _RISES * scale):
+                code, step = NOT_AT_REST if int(code) == SUCCESSFUL else int(code), _CUT * step
                 if step < smallest:
                     break
                 continue
-            state, code = new, NOT_AT_REST
-            still = float(state.time) > ramped or not model.moving
+            state, code, energy = new, NOT_AT_REST, left
             rests = still and all(float(part) <= tolerance for part in rest)
             pushed, is_stable = _pushed(model, setup.plan, state) if rests else (state, False)
             if rests and bool(is_stable):
@@ -154,12 +159,19 @@ def _driven(setup: Setup, dt, tolerance: float, max_steps: int, output, bar) -> 
             if code == SUCCESSFUL:
                 break
             if rests:  # on the top of a hill
-                state, step, pushes = pushed, dt, pushes + 1
+                state, step, pushes, energy = pushed, dt, pushes + 1, np.inf
             elif int(record.iterations) <= _EASY:
                 step *= _GROWTH
         left = {} if rest is None else {name: float(value) for name, value in rest._asdict().items()}
         message = "" if code == SUCCESSFUL else _message(int(code), log, left, tolerance)
         return log.finish(Carry(state, None, jnp.asarray(code)), int(code), message, pushes=pushes, **left)
+
+
+def _energy(record: Record) -> tuple[float, float]:
+    """What is left to lose, K + S - W, and the size of its parts."""
+    seen = record.observed
+    kinetic, strain, work = float(seen.kinetic), float(seen.strain), float(seen.external_work)
+    return kinetic + strain - work, kinetic + strain + abs(work)
 
 
 def _message(code: int, log: Log, left: dict, tolerance: float) -> str:
@@ -180,9 +192,8 @@ def _advance(model: Model, plan: Plan, state: SettlingState, memory, step):
     """State, memory, result, record, frame and distance from rest of a step."""
     before = state
     state, info, memory = plan.method.step(model, before, step, plan.solvers, memory)
-    still = StaticState(state.time, state.d, state.R, jnp.zeros_like(state.d), state.external_work)
-    begun = _STATIC.begin(model, still, jnp.zeros(()))
-    balance = _STATIC.balance(model, still, begun, jnp.zeros_like(state.velocities))
+    begun = _STATIC.begin(model, state, jnp.zeros(()))
+    balance = _STATIC.balance(model, state, begun, jnp.zeros_like(state.velocities))
     carried = balance.residual.reshape(-1)[model.tables.held]
     record = program.record(
         model, plan, state, carried, info.iterations, info.factorizations, info.result == SUCCESSFUL
@@ -202,8 +213,7 @@ def _advance(model: Model, plan: Plan, state: SettlingState, memory, step):
 @compiled
 def _pushed(model: Model, plan: Plan, state: SettlingState):
     """The state moved a little along its critical motion, and whether the equilibrium that it was is stable."""
-    still = StaticState(state.time, state.d, state.R, jnp.zeros_like(state.d), state.external_work)
-    weakest, _ = critical(model, plan.solvers, still, still, None)
+    weakest, _ = critical(model, plan.solvers, state, state, None)
     move = NUDGE * model.size * weakest.mode
     turned = jax.vmap(rotations.exp)(move[:, 3:]) @ state.R
     return eqx.tree_at(lambda s: (s.d, s.R), state, (state.d + move[:, :3], turned)), weakest.quotient > 0

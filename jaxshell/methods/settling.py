@@ -17,52 +17,35 @@ from jaxshell.assembly.discretised import Model
 from jaxshell.elements.inertia import LINEAR_MASS
 from jaxshell.methods.base import Observation
 from jaxshell.methods.start import initial_motion
-from jaxshell.methods.state import State
 from jaxshell.methods.static import Static, StaticState
 
 
-class SettlingState(State):
-    """A state on the way to rest."""
+class SettlingState(StaticState):
+    """A state on the way to rest; `v` are the displacements of the last step over Δt."""
 
-    time: Float[Array, ""]
-    d: Float[Array, "n 3"]
-    """Displacements from the reference shape."""
-    R: Float[Array, "n 3 3"]
-    velocities: Float[Array, "n 6"]
-    """Of the last step: displacements and rotation vectors over Δt."""
-    external_work: Float[Array, ""]
+    omega: Float[Array, "n 3"]
+    """The rotation vectors of the last step over Δt."""
 
     @property
-    def v(self) -> Float[Array, "n 3"]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.velocities[:, :3]
-
-    def displacements(self, x0):
-        return self.d
+    def velocities(self) -> Float[Array, "n 6"]:
+        return jnp.concatenate([self.v, self.omega], axis=1)
 
 
 class Settling(Static):
     """Backward Euler with the static balance at the end of the step; `settle` runs it."""
 
     def start(self, model: Model, scene, time) -> SettlingState:
-        x, R, v, omega = initial_motion(model, scene)
-        zero = jnp.zeros(())
-        velocities = jnp.concatenate([v, omega], axis=1)
-        return SettlingState(  # pyright: ignore[reportCallIssue]  # v is a property
-            time=jnp.asarray(time, float), d=x - model.x0, R=R, velocities=velocities, external_work=zero
-        )
+        _, _, v, omega = initial_motion(model, scene)
+        return _moving(super().start(model, scene, time), v, omega)
 
     def begin(self, model: Model, state: SettlingState, dt):
-        begun = super().begin(model, _at_rest(state), dt)
-        M = masses(model)
+        begun, M = super().begin(model, state, dt), masses(model)
         momenta = jnp.einsum("mij,mj->mi", M, model.gather(state.velocities).reshape(-1, 18))
         data = begun.data._replace(damping=M / dt**2)
         return begun._replace(data=data, loads=begun.loads + model.assemble_vector(momenta) / dt)
 
     def finish(self, model: Model, state: SettlingState, dt, u, motion, begun) -> SettlingState:
-        found = super().finish(model, _at_rest(state), dt, u, motion, begun)
-        return SettlingState(  # pyright: ignore[reportCallIssue]
-            time=found.time, d=found.d, R=found.R, velocities=u / dt, external_work=found.external_work
-        )
+        return _moving(super().finish(model, state, dt, u, motion, begun), u[:, :3] / dt, u[:, 3:] / dt)
 
     def observe(self, model: Model, state: SettlingState) -> Observation:
         strain = model.strain_energy(model.x0 + state.d, state.R)
@@ -74,6 +57,10 @@ class Settling(Static):
         return Observation(kinetic, strain, state.external_work, zero, jnp.sum(linear[:, :3], axis=0), angular)
 
 
+def _moving(state: StaticState, v, omega) -> SettlingState:
+    return SettlingState(state.time, state.d, state.R, v, state.external_work, omega)
+
+
 def masses(model: Model) -> Float[Array, "m 18 18"]:
     """∫ N_a N_b dA times the mass per area at the displacements and ρh³/12 at the rotations, about all axes."""
 
@@ -82,7 +69,3 @@ def masses(model: Model) -> Float[Array, "m 18 18"]:
         return element.area * jnp.kron(jnp.asarray(LINEAR_MASS), jnp.diag(each))
 
     return jax.vmap(one)(model.elements)
-
-
-def _at_rest(state: SettlingState) -> StaticState:
-    return StaticState(state.time, state.d, state.R, jnp.zeros_like(state.d), state.external_work)
