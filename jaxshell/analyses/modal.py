@@ -212,13 +212,19 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
 
 
 def mass_matrix(R: Float[Array, "3 3 3"], element: corotational.Element) -> Float[Array, "18 18"]:
-    """Consistent mass of one element turned by the nodal rotations R: eq. (34) with ṫ_a = -~t_a ω_a."""
+    """Consistent mass of one element turned by the nodal rotations R: eq. (34) with ṫ_a = -~t_a ω_a.
+
+    A section's first moment ∫ρz dz couples velocities and spins.
+    """
     mass = element.area * jnp.asarray(LINEAR_MASS)
     turn = -jax.vmap(rotations.skew)(R @ element.frame[2])
     translational = element.mass_per_area * mass[:, None, :, None] * jnp.eye(3)[None, :, None, :]
     rotational = element.rotary_inertia * jnp.einsum("ab,aki,bkj->aibj", mass, turn, turn)
-    zero = jnp.zeros_like(rotational)
-    rows = [jnp.stack([translational, zero], axis=3), jnp.stack([zero, rotational], axis=3)]
+    coupled = jnp.zeros_like(rotational)
+    if element.section.first_moment is not None:
+        coupled = element.section.first_moment * jnp.einsum("ab,bij->aibj", mass, turn)
+    back = jnp.transpose(coupled, (2, 3, 0, 1))
+    rows = [jnp.stack([translational, coupled], axis=3), jnp.stack([back, rotational], axis=3)]
     return jnp.stack(rows, axis=1).reshape(18, 18)
 
 

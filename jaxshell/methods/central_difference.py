@@ -89,6 +89,7 @@ class CentralDifference(Method):
         return float(self.safety * _stable_step(scene, nodal_tables(structure_of(scene))))
 
     def check(self, scene: Scene, steps) -> None:
+        super().check(scene, steps)
         if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, steps))):
             return
         critical, largest = self.critical_step(scene), float(np.max(steps))

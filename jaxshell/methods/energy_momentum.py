@@ -84,6 +84,7 @@ class EnergyMomentum(ImplicitMethod):
     """
 
     balances_means: ClassVar[bool] = True
+    knows_first_moment: ClassVar[bool] = True
 
     dissipation: Real = 0.0
 
@@ -221,6 +222,9 @@ class EnergyMomentum(ImplicitMethod):
         weight = elements.area[:, None, None]
         momentum = weight * elements.mass_per_area[:, None, None] * (jnp.asarray(LINEAR_MASS) @ v)
         spin = weight * elements.rotary_inertia[:, None, None] * (jnp.asarray(LINEAR_MASS) @ rates)
+        if elements.section.first_moment is not None:
+            first = weight * elements.section.first_moment[:, None, None] * jnp.asarray(LINEAR_MASS)
+            momentum, spin = momentum + first @ rates, spin + first @ v
         kinetic = 0.5 * (jnp.sum(v * momentum) + jnp.sum(rates * spin))
         linear = jnp.sum(momentum, axis=(0, 1))
         angular = jnp.sum(jnp.cross(x, momentum) + jnp.cross(directors, spin), axis=(0, 1))
@@ -241,25 +245,36 @@ def _masses(element: Element) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]
     return scaled(element.mass_per_area * element.area, linear), scaled(element.rotary_inertia * element.area, linear)
 
 
-def _director_step(u, start: DirectorMotion, element: Element, dt):
-    """Mid-point directors t_m (3, 3) and the rate of their momenta Σ_b J_ab (ṫ₁ - ṫ₀)_b/Δt (3, 3)."""
+def _first_mass(element: Element) -> Float[Array, "3 3"] | None:
+    """∫ N_a N_b dA times ∫ρz dz, which couples velocities and directors; None where the section has none."""
+    first = element.section.first_moment
+    return None if first is None else scaled(first * element.area, jnp.asarray(LINEAR_MASS))
+
+
+def _step_momenta(u, start: DirectorMotion, element: Element, dt):
+    """Mid-point directors t_m (3, 3), and the rates (3, 3) of the momenta of nodes and of directors in the step:
+    Σ_b M_ab (v₁ - v₀)_b/Δt and Σ_b J_ab (ṫ₁ - ṫ₀)_b/Δt, with a first moment S also Σ_b S_ab of the other."""
     # t_m = ½ (I + cay(θ)) t₀, from t₁ - t₀ = θ × t_m.
     middle = jax.vmap(lambda A, t: product(A, t))(jax.vmap(mid_matrix)(u[:, 3:]), start.director)
     change = cross(u[:, 3:], middle)
-    return middle, product(_masses(element)[1], 2.0 * (change / dt - start.rate) / dt)
+    moved, turned = 2.0 * (u[:, :3] / dt - start.v) / dt, 2.0 * (change / dt - start.rate) / dt
+    mass, rotary = _masses(element)
+    of_nodes, of_directors, first = product(mass, moved), product(rotary, turned), _first_mass(element)
+    if first is not None:
+        of_nodes, of_directors = of_nodes + product(first, turned), of_directors + product(first, moved)
+    return middle, of_nodes, of_directors
 
 
 def director_inertia_forces(u, start: DirectorMotion, element: Element, dt) -> Float[Array, "18"]:
-    """Force Σ_b M_ab (v₁ - v₀)_b/Δt and moment t_m,a × Σ_b J_ab (ṫ₁ - ṫ₀)_b/Δt on every node a."""
-    force = product(_masses(element)[0], 2.0 * (u[:, :3] / dt - start.v) / dt)
-    moment = cross(*_director_step(u, start, element, dt))
-    return jnp.stack([force, moment], axis=1).reshape(18)
+    """On every node the rate of its momentum, and the moment t_m × the rate of its director's."""
+    middle, force, of_director = _step_momenta(u, start, element, dt)
+    return jnp.stack([force, cross(middle, of_director)], axis=1).reshape(18)
 
 
 def director_inertia_tangent(motion: Motion, u, start: DirectorMotion, element: Element, dt):
     """Derivative of `director_inertia_forces` by u, (18, 18)."""
     mass, rotary = (2.0 / dt**2 * m for m in _masses(element))
-    middle, rate = _director_step(u, start, element, dt)
+    middle, _, rate = _step_momenta(u, start, element, dt)
     end = 2.0 * middle - start.director
     skews = jax.vmap(skew)
     by_theta = -jax.vmap(product)(skews(end), motion.spin)  # δt₁ = δω × t₁
@@ -269,6 +284,11 @@ def director_inertia_tangent(motion: Motion, u, start: DirectorMotion, element: 
     eye = jnp.eye(3)
     moments = jnp.transpose(moved + eye[:, :, None, None] * turned[:, None], (0, 2, 1, 3))
     forces = mass[:, None, :, None] * eye[None, :, None, :]
-    zero = jnp.zeros_like(forces)
-    rows = [jnp.stack([forces, zero], axis=3), jnp.stack([zero, moments], axis=3)]
+    by_turns = by_moves = jnp.zeros_like(forces)
+    first = _first_mass(element)
+    if first is not None:
+        first = 2.0 / dt**2 * first
+        by_turns = first[:, None, :, None] * jnp.transpose(by_theta, (1, 0, 2))[None]
+        by_moves = first[:, None, :, None] * skews(middle)[:, :, None, :]
+    rows = [jnp.stack([forces, by_turns], axis=3), jnp.stack([by_moves, moments], axis=3)]
     return jnp.stack(rows, axis=1).reshape(18, 18)

@@ -112,8 +112,8 @@ class GeneralSection(AnySection):
         least = np.linalg.eigvalsh(np.nan_to_num(whole, nan=-1.0)).min()
         if not least > 0:
             raise ValueError(
-                "[A B; B D] must be positive definite, or some deformation gains energy, but its least eigenvalue, in a "
-                f"length that makes A and D alike, is {least:.3g}."
+                "[A B; B D] must be positive definite, or some deformation gains energy, but its least eigenvalue, in "
+                f"a length that makes A and D alike, is {least:.3g}."
             )
 
     def check(self, mesh: Mesh | Patch) -> None:
