@@ -212,7 +212,10 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
 
 
 def mass_matrix(R: Float[Array, "3 3 3"], element: corotational.Element) -> Float[Array, "18 18"]:
-    """Consistent mass of one element turned by the nodal rotations R: eq. (34) with ṫ_a = -~t_a ω_a."""
+    """Consistent mass of one element turned by the nodal rotations R: eq. (34) with ṫ_a = -~t_a ω_a.
+
+    A section's first moment ∫ρz dz couples velocities and spins.
+    """
     mass = element.area * jnp.asarray(LINEAR_MASS)
     turn = -jax.vmap(rotations.skew)(R @ element.frame[2])
     translational = element.mass_per_area * mass[:, None, :, None] * jnp.eye(3)[None, :, None, :]

@@ -1,7 +1,7 @@
 """The scene: everything that the user states about a shell, as one pytree whose floats are differentiable."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -144,7 +144,7 @@ class Scene(eqx.Module):
             section = Regions.of(mesh, section)
         check_kind("section", section, AnySection, "a section such as jaxshell.Section")
         self.mesh = mesh
-        self.section = section
+        self.section = cast(AnySection, section)
         self.supports = _objects("supports", supports, Support, "jaxshell.Support")
         self.loads = _objects("loads", loads, Load, "loads such as jaxshell.NodalForce")
         self.initial = initial

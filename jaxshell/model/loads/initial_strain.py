@@ -132,14 +132,12 @@ class Thermal(InitialStrains):
         self._each(mesh)
 
     def check_section(self, section: AnySection, mesh: Mesh) -> None:
-        thermal = section.thermal_resultants(mesh)
-        if thermal is None:
-            raise ValueError("Thermal needs a section that knows its expansion; GeneralSection has thermal= for it.")
+        thermal = _thermal_resultants(section, mesh)
         if is_concrete(thermal) and not np.any(np.asarray(thermal)):
             raise ValueError("Thermal needs a material with an expansion, but that of all of them is zero.")
 
     def strains(self, section: AnySection, mesh: Mesh):
-        thermal = section.thermal_resultants(mesh)
+        thermal = _thermal_resultants(section, mesh)
         T, g = self._each(mesh)
         N = T[:, None] * thermal[:, 0] + g[:, None] * thermal[:, 1]
         M = T[:, None] * thermal[:, 1] + g[:, None] * thermal[:, 2]
@@ -161,6 +159,13 @@ class Thermal(InitialStrains):
                 raise ValueError(f"{name} must be one value or {mesh.n_elements}, but it has shape {value.shape}.")
             found.append(jnp.broadcast_to(value, (mesh.n_elements,)))
         return found[0], found[1]
+
+
+def _thermal_resultants(section: AnySection, mesh: Mesh) -> Float[Array, "m 3 3"]:
+    found = section.thermal_resultants(mesh)
+    if found is None:
+        raise ValueError("Thermal needs a section that knows its expansion; GeneralSection has thermal= for it.")
+    return found
 
 
 def _solved(matrices: Float[Array, "m k k"], right: Float[Array, "m k"]) -> Float[Array, "m k"]:

@@ -1,6 +1,6 @@
 """A section given by its stiffnesses: corrugated, stiffened and woven shells, and results of homogenisation."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -112,8 +112,8 @@ class GeneralSection(AnySection):
         least = np.linalg.eigvalsh(np.nan_to_num(whole, nan=-1.0)).min()
         if not least > 0:
             raise ValueError(
-                "[A B; B D] must be positive definite, or some deformation gains energy, but its least eigenvalue, in a "
-                f"length that makes A and D alike, is {least:.3g}."
+                "[A B; B D] must be positive definite, or some deformation gains energy, but its least eigenvalue, in "
+                f"a length that makes A and D alike, is {least:.3g}."
             )
 
     def check(self, mesh: Mesh | Patch) -> None:
@@ -128,7 +128,7 @@ class GeneralSection(AnySection):
         turn = jax.vmap(strain_rotation)(-self.direction_angles(mesh))  # strains from the direction's axes to e1, e2
         back = jnp.linalg.inv(turn)
 
-        def turned(matrix):
+        def turned(matrix) -> Any:
             return None if matrix is None else jnp.swapaxes(back, 1, 2) @ matrix @ back
 
         A, D, mass = turned(given["A"]), turned(given["D"]), given["mass_per_area"]
@@ -152,7 +152,7 @@ class GeneralSection(AnySection):
         # Forces, unlike strains, turn with the transpose.
         return thermal @ jax.vmap(strain_rotation)(self.direction_angles(mesh))
 
-    def _each(self, n_elements: int) -> dict:
+    def _each(self, n_elements: int) -> dict[str, Any]:
         """Every value with a leading axis over the elements, or None. Raises ValueError for another length."""
         found = {}
         for name in ("A", "B", "D", "thermal", "mass_per_area", "rotary_inertia", "first_moment"):

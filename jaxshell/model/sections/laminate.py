@@ -27,8 +27,8 @@ class Laminate(AnySection):
         direction: from where the plies' angles are counted: a vector (3,), one for each element (m, 3), or a
             `jaxshell.Cylindrical`; projected onto the elements.
         offset: z of the laminate's middle surface, from the surface of the nodes along the normals [length].
-        symmetric: the plies are the lower half, and the upper one mirrors them. Then membrane and bending do not couple,
-            and no coupling is compiled; a list of all plies, symmetric by its numbers, is computed with B = 0.
+        symmetric: the plies are the lower half, and the upper one mirrors them. Then membrane and bending do not
+            couple, and no coupling is compiled; a list of all plies that is symmetric by its numbers has B = 0 by them.
 
     A, B, D = Σ_k Q̄_k ∫ (1, z, z²) dz. Differentiable in every float. Source: R. M. Jones, Mechanics of Composite
     Materials (1999), chapter 4.

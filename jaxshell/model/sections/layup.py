@@ -6,6 +6,8 @@ from jaxshell.numerics.checks import check_text, shown
 
 MOST_PLIES = 1000
 """A layup with more is taken for a slip of the pen."""
+_DEEPEST = 20
+"""Brackets within brackets."""
 
 
 def read_layup(text: str) -> tuple[list[float], bool]:
@@ -34,7 +36,7 @@ class _Parser:
     """A layup's text, read from left to right."""
 
     def __init__(self, text: str, plain: str):
-        self.text, self.tokens, at = text, [], 0
+        self.text, self.tokens, self.depth, at = text, [], 0, 0
         plain = plain.replace("(", "[").replace(")", "]")
         while plain[at:].strip():
             found = _TOKEN.match(plain, at)
@@ -78,6 +80,9 @@ class _Parser:
     def bracket(self, outermost: bool = False) -> tuple[list[float], bool]:
         """The angles of a bracket, and whether they are a lower half, which only those of the outermost may be."""
         self.take("[")
+        self.depth += 1
+        if self.depth > _DEEPEST:
+            self.fail(f"its brackets are nested more than {_DEEPEST} deep")
         plies, middle = [], False
         while True:
             if self.peek() == "[":
@@ -95,6 +100,7 @@ class _Parser:
                 self.fail("only the last ply can lie in the middle")
             self.take()
         self.take("]")
+        self.depth -= 1
         repeats = self.count()
         if repeats * len(plies) > MOST_PLIES:
             self.fail(f"it has more than {MOST_PLIES} plies")

@@ -76,9 +76,12 @@ class Regions(AnySection):
         return self._joined(mesh, found)
 
     def layers(self, mesh: Mesh | Patch) -> Layers | None:
-        found = [section.layers(patch) for section, patch in self._parts(mesh)]
-        if any(layers is None for layers in found):
-            return None
+        found = []
+        for section, patch in self._parts(mesh):
+            layers = section.layers(patch)
+            if layers is None:
+                return None
+            found.append(layers)
         most = max(layers.z.shape[1] for layers in found)
         return self._joined(mesh, [_padded(layers, most) for layers in found])
 
