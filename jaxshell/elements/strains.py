@@ -1,0 +1,34 @@
+"""Strains and curvatures of one deformed element, from which its section forces and stresses follow."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxshell.elements import corotational
+from jaxshell.elements.corotational import Element, strain_matrices
+
+MIDPOINT_VALUES = ((1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, 1.0, 1.0))
+"""Rows: a linear field at the corners 1, 2, 3 from its values at the mid-edges 12, 23, 31."""
+
+
+def section_strains(
+    x0: Float[Array, "3 3"], d: Float[Array, "3 3"], R: Float[Array, "3 3 3"], element: Element
+) -> Float[Array, "3 6"]:
+    """(εxx, εyy, γxy, κxx, κyy, 2κxy) at the mid-edges 12, 23, 31, in the element's axes, from the shape x0 of the mesh.
+
+    Corners are seen from node 1, as edges and differences of the displacements d: positions x0 + d would round d off
+    (`jaxshell.methods.static`). With the strains of initial strains, or without where `element.rest` states them.
+    """
+    x = (x0 - x0[0]) + (d - d[0])
+    e = corotational.kinematics(x, R, element).deformations
+    membrane, bending = strain_matrices(element.coordinates, element.section.beta0)
+    return jnp.concatenate([membrane @ e[:6], bending @ e[6:]], axis=1)
+
+
+def divergence(coordinates: Float[Array, "3"], tensor: Float[Array, "3 3"]) -> Float[Array, "2"]:
+    """(xx,x + xy,y; xy,x + yy,y) of a linear tensor (xx, yy, xy) with these values at the mid-edges 12, 23, 31."""
+    length, bx, by = coordinates
+    # Gradients of the area coordinates of nodes 3, 1, 2, that face the edges 12, 23, 31: φ = 1 - 2 λ of each.
+    zero = jnp.zeros_like(length)
+    gradients = jnp.stack([zero, length, -by, bx - length, by, -bx]).reshape(3, 2) / (length * by)
+    slope = -2.0 * jnp.einsum("px,pc->xc", gradients, tensor)
+    return jnp.stack([slope[0, 0] + slope[1, 2], slope[0, 2] + slope[1, 1]])
