@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element, strain_matrices
 
-MIDPOINT_VALUES = ((1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, 1.0, 1.0))
+CORNERS_OF_MIDPOINTS = ((1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, 1.0, 1.0))
 """Rows: a linear field at the corners 1, 2, 3 from its values at the mid-edges 12, 23, 31."""
 
 
@@ -22,13 +22,3 @@ def section_strains(
     e = corotational.kinematics(x, R, element).deformations
     membrane, bending = strain_matrices(element.coordinates, element.section.beta0)
     return jnp.concatenate([membrane @ e[:6], bending @ e[6:]], axis=1)
-
-
-def divergence(coordinates: Float[Array, "3"], tensor: Float[Array, "3 3"]) -> Float[Array, "2"]:
-    """(xx,x + xy,y; xy,x + yy,y) of a linear tensor (xx, yy, xy) with these values at the mid-edges 12, 23, 31."""
-    length, bx, by = coordinates
-    # Gradients of the area coordinates of nodes 3, 1, 2, that face the edges 12, 23, 31: φ = 1 - 2 λ of each.
-    zero = jnp.zeros_like(length)
-    gradients = jnp.stack([zero, length, -by, bx - length, by, -bx]).reshape(3, 2) / (length * by)
-    slope = -2.0 * jnp.einsum("px,pc->xc", gradients, tensor)
-    return jnp.stack([slope[0, 0] + slope[1, 2], slope[0, 2] + slope[1, 1]])
