@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxshell.assembly.gauges import Watching, watching
 from jaxshell.assembly.tables import Structure, Tables
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
@@ -63,6 +64,8 @@ class Model(eqx.Module):
     size: Float[Array, ""]
     """The shell's size, the diagonal of its bounding box [length]: the scale of convergence."""
     tables: Tables
+    gauges: tuple[Watching, ...] = ()
+    """What reads the stresses and section forces that the scene watches."""
 
     @classmethod
     def build(cls, scene: Scene, tables: Tables) -> "Model":
@@ -77,7 +80,8 @@ class Model(eqx.Module):
         surface = Surface(x0, tables.triangles, elements.mass_per_area, elements.area, elements.frame[:, 2])
         moving = tuple(support for support in scene.supports if support.displacement is not None)
         size = jnp.linalg.norm(jnp.max(x0, axis=0) - jnp.min(x0, axis=0))
-        return cls(x0, elements, dead, _acting(scene, tables, surface), _rests(scene, elements), moving, size, tables)
+        acting, rests = _acting(scene, tables, surface), _rests(scene, elements)
+        return cls(x0, elements, dead, acting, rests, moving, size, tables, watching(scene, elements))
 
     def elements_at(self, *weighted: tuple[Any, Any]) -> Element:
         """The elements with the mean of their stress-free states at some times: (weight, time) each.

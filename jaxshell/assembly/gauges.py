@@ -1,8 +1,8 @@
 """What turns the strains of elements into stresses and section forces, and the gauges that a run reads in every step.
 
 All of them are y = P [ε; κ] - Σ h q: linear in the strain and the curvature of the mesh's shape, less what the initial
-strains of the scene, each with its history h, take away. For section forces P are rows of [A B; B D]; for the stress at a
-height z of a ply P = [C, z C] and q = C e⁰(z), with the strain e⁰(z) at which the ply's material is free of stress.
+strains of the scene, each with its history h, take away. For section forces P are rows of [A B; B D]; for the stress at
+a height z of a ply P = [C, z C] and q = C e⁰(z), with the strain e⁰(z) at which the ply's material is free of stress.
 """
 
 import equinox as eqx

@@ -13,7 +13,7 @@ CORNERS_OF_MIDPOINTS = ((1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, 1.0, 1.0))
 def section_strains(
     x0: Float[Array, "3 3"], d: Float[Array, "3 3"], R: Float[Array, "3 3 3"], element: Element
 ) -> Float[Array, "3 6"]:
-    """(εxx, εyy, γxy, κxx, κyy, 2κxy) at the mid-edges 12, 23, 31, in the element's axes, from the shape x0 of the mesh.
+    """(εxx, εyy, γxy, κxx, κyy, 2κxy) at the mid-edges 12, 23, 31, in the element's axes, from the shape x0.
 
     Corners are seen from node 1, as edges and differences of the displacements d: positions x0 + d would round d off
     (`jaxshell.methods.static`). With the strains of initial strains, or without where `element.rest` states them.

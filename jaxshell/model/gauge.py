@@ -5,9 +5,9 @@
     s11 s22 s12 + where                   stresses in the axes of the ply's material
     von mises, smax, smin + where         von Mises' stress; the larger and the smaller principal one
 
-Where is top, bottom, middle, or a ply counted from 0 at the bottom: "ply 2", "ply 2 top", "ply 2 bottom". Components are
-in the element's axes (e1 along its edge 1-2), or, with the word "material" at the end, from the section's direction on.
-The value is that at the element's middle, the mean of its three points.
+Where is top, bottom, middle, or a ply counted from 0 at the bottom: "ply 2", "ply 2 top", "ply 2 bottom". Components
+are in the element's axes (e1 along its edge 1-2), or, with the word "material" at the end, from the section's direction
+on. The value is that at the element's middle, the mean of its three points.
 """
 
 import re
@@ -83,7 +83,8 @@ def check_at(what: str, at, section: AnySection, mesh, elements=None) -> None:
     numbered = isinstance(ply, int | np.integer) and not isinstance(ply, bool)
     if face not in FACES or not (numbered or (not isinstance(at, tuple) and at in FACES)):
         raise ValueError(
-            f'{what}: at must be "top", "bottom", "middle", the number of a ply or (number, "top"), but it is {shown(at)}.'
+            f'{what}: at must be "top", "bottom", "middle", the number of a ply or (number, "top"), '
+            f"but it is {shown(at)}."
         )
     counts = ply_counts(section, mesh)
     if counts is None:

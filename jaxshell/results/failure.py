@@ -39,20 +39,20 @@ class Strengths(eqx.Module):
         X_t, X_c: along the fibres, in tension and in compression [force/length²]; for "max-strain" strains.
         Y_t, Y_c: across them, likewise.
         S: in shear, likewise (for "max-strain" γ12).
-        f12: Tsai-Wu's coefficient of σ1 σ2 over √(F11 F22), in (-1, 1); -0.5 makes an isotropic material's criterion von
-            Mises'.
+        f12: Tsai-Wu's coefficient of σ1 σ2 over √(F11 F22), in (-1, 1); -0.5 makes an isotropic material's criterion
+            von Mises'.
         yield_stress: for "von-mises" [force/length²].
 
     Raises ValueError naming the value that is out of range.
     """
 
-    X_t: Float[Array, ""] | None = None
-    X_c: Float[Array, ""] | None = None
-    Y_t: Float[Array, ""] | None = None
-    Y_c: Float[Array, ""] | None = None
-    S: Float[Array, ""] | None = None
-    f12: Float[Array, ""] = -0.5  # pyright: ignore[reportAssignmentType]
-    yield_stress: Float[Array, ""] | None = None
+    X_t: Any
+    X_c: Any
+    Y_t: Any
+    Y_c: Any
+    S: Any
+    f12: Float[Array, ""]
+    yield_stress: Any
 
     def __init__(self, X_t=None, X_c=None, Y_t=None, Y_c=None, S=None, f12=-0.5, yield_stress=None):
         given = {"X_t": X_t, "X_c": X_c, "Y_t": Y_t, "Y_c": Y_c, "S": S, "f12": f12, "yield_stress": yield_stress}
@@ -110,8 +110,8 @@ def failure_index_of(
 def ks(values, sharpness=50.0, axis=None) -> Float[Array, "*b"]:
     """Kreisselmeier and Steinhauser's smooth maximum, max + ln Σ exp(ρ (v - max))/ρ, with ρ the `sharpness`.
 
-    Above the maximum of the n values, by at most ln(n)/ρ. Over all values, or over one axis. It does not overflow, and is
-    differentiable where the maximum is not. Source: G. Kreisselmeier & R. Steinhauser, "Systematic control design by
+    Above the maximum of the n values, by at most ln(n)/ρ. Over all values, or over one axis. It does not overflow, and
+    is differentiable where the maximum is not. Source: G. Kreisselmeier & R. Steinhauser, "Systematic control design by
     optimizing a vector performance index", IFAC Proc. 12 (1979) 113-117. Raises ValueError for a sharpness that is not
     positive, and for no values.
     """
@@ -144,7 +144,7 @@ def _given_strengths(criterion: str, strengths, plies: int) -> list[Strengths]:
     for position, item in enumerate(given):
         name = f"strengths[{position}]" if listed else "strengths"
         if isinstance(item, Mapping):
-            named = {_ALIASES.get(key, key): value for key, value in item.items()}
+            named: dict[str, Any] = {_ALIASES.get(key, key): value for key, value in item.items()}
             for key in named:
                 if key not in Strengths.__dataclass_fields__:
                     known = ", ".join(Strengths.__dataclass_fields__)

@@ -3,16 +3,13 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
+from jaxshell.elements.inertia import LINEAR_MASS
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import check_kind
 from jaxshell.numerics.compiled import compiled
 from jaxshell.numerics.triangles import local_frame
-
-_LINEAR = (np.ones((3, 3)) + np.eye(3)) / 12.0
-"""∫ N_a N_b dA / A."""
 
 
 class MassProperties(eqx.Module):
@@ -48,7 +45,7 @@ def _mass_properties(scene: Scene) -> MassProperties:
     r = x - centre
     middle = jnp.mean(r, axis=1)
     # ∫ (density) p pᵀ over the body, of places p = r + z t.
-    moments = jnp.einsum("m,mai,ab,mbj->ij", zeroth, r, jnp.asarray(_LINEAR), r)
+    moments = jnp.einsum("m,mai,ab,mbj->ij", zeroth, r, jnp.asarray(LINEAR_MASS), r)
     crossed = jnp.einsum("m,mi,mj->ij", first, middle, t)
     moments = moments + crossed + crossed.T + jnp.einsum("m,mi,mj->ij", second, t, t)
     return MassProperties(mass, centre, jnp.trace(moments) * jnp.eye(3) - moments)

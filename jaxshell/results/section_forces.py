@@ -1,8 +1,8 @@
 """Section strains and section forces of a deformed shell: [N; M] = [A B; B D] ([ε; κ] - [ε⁰; κ⁰]).
 
-ε and κ are those of the element's own strain matrices, whose products integrated over the element are its stiffness. They
-are linear in it, so that the values at its three mid-edges 12, 23, 31 are the whole field, and their mean is the value at
-its middle. Axes turn with the element. Sources: Felippa 2003 (membrane), Batoz, Bathe & Ho 1980 (DKT).
+ε and κ are those of the element's own strain matrices, whose products integrated over the element are its stiffness.
+They are linear in it, so that the values at its three mid-edges 12, 23, 31 are the whole field, and their mean is the
+value at its middle. Axes turn with the element. Sources: Felippa 2003 (membrane), Batoz, Bathe & Ho 1980 (DKT).
 """
 
 from typing import NamedTuple
@@ -40,7 +40,7 @@ class SectionForces(eqx.Module):
 
 
 class SectionStrains(eqx.Module):
-    """Strains of the surface of the nodes, from the shape of the mesh, m elements at three points or at their middle."""
+    """Strains of the surface of the nodes, from the mesh's shape, of m elements at three points or at their middle."""
 
     strain: Float[Array, "*m 3"]
     """(εxx, εyy, γxy); of axes="global" tensors in space, with γ/2."""
@@ -67,8 +67,8 @@ def section_forces(solution: Solution, frame=-1, *, axes="element", at: str = "p
         axes: "element": e1 along the edge 1-2 of each; "material": from the section's direction; a vector (3,), one for
             each element (m, 3) or a `jaxshell.Cylindrical`, projected onto the mesh's elements; "global": tensors in
             space.
-        at: "points", N and M (m, 3, 3) at the mid-edges 12, 23, 31; or "mean", (m, 3) at the middles, where they are more
-            accurate.
+        at: "points", N and M (m, 3, 3) at the mid-edges 12, 23, 31; or "mean", (m, 3) at the middles, where they are
+            more accurate.
 
     Differentiable; `section_forces_of` computes them from arrays. Raises ValueError for a frame that is none, for
     "material" of a section without direction, for a direction normal to an element.
@@ -76,7 +76,9 @@ def section_forces(solution: Solution, frame=-1, *, axes="element", at: str = "p
     return _forces(solution.scene, shape_of(solution, frame), axes, at)
 
 
-def section_strains(solution: Solution, frame=-1, *, axes="element", at: str = "points", elastic: bool = False):
+def section_strains(
+    solution: Solution, frame=-1, *, axes="element", at: str = "points", elastic: bool = False
+) -> SectionStrains:
     """Section strains of a solution, as `SectionStrains`; arguments and errors as of `section_forces`.
 
     They are those of the deformation from the mesh's shape, whatever it came from; `elastic` leaves away the scene's
@@ -170,8 +172,8 @@ def elements_of(scene: Scene) -> Element:
 
 def strains_at_points(scene: Scene, elements: Element, shape: Shape) -> Float[Array, "m 3 6"]:
     """Strains and curvatures of all elements from the mesh's shape, in their axes."""
-    corners = (values[scene.mesh.triangles] for values in (scene.mesh.nodes, shape.displacements, shape.rotations))
-    return jax.vmap(strains_of_element)(*corners, elements)
+    x0, d, R = _corners(scene, shape)
+    return jax.vmap(strains_of_element)(x0, d, R, elements)
 
 
 def turning(scene: Scene, axes) -> Float[Array, " m"] | None:
@@ -189,8 +191,7 @@ def turning(scene: Scene, axes) -> Float[Array, " m"] | None:
 
 def in_space(scene: Scene, shape: Shape, tensors: Float[Array, "m *p 3"]) -> Float[Array, "m *p 3 3"]:
     """Plane tensors (xx, yy, xy) in the deformed elements' axes as 3×3 tensors in space."""
-    x = scene.mesh.nodes[scene.mesh.triangles]
-    d = shape.displacements[scene.mesh.triangles]
+    x, d, _ = _corners(scene, shape)
     frames, _ = jax.vmap(local_frame)((x - x[:, :1]) + (d - d[:, :1]))
     plane = frames[:, :2]
     matrices = jnp.stack([tensors[..., jnp.array([0, 2])], tensors[..., jnp.array([2, 1])]], axis=-2)
@@ -222,7 +223,7 @@ def _section_forces(scene: Scene, shape: Shape, angle, mean: bool, whole: bool) 
     if angle is None:
         return SectionForces(N, M)
     turn = jax.vmap(stress_rotation)(angle)
-    return SectionForces(*(jnp.einsum("mij,m...j->m...i", turn, values) for values in (N, M)))
+    return SectionForces(jnp.einsum("mij,m...j->m...i", turn, N), jnp.einsum("mij,m...j->m...i", turn, M))
 
 
 @compiled
@@ -236,11 +237,11 @@ def _section_strains(scene: Scene, shape: Shape, angle, mean: bool, whole: bool,
     strain, curvature = strains[..., :3], strains[..., 3:]
     if whole:
         halved = jnp.array([1.0, 1.0, 0.5])
-        return SectionStrains(*(in_space(scene, shape, halved * values) for values in (strain, curvature)))
+        return SectionStrains(in_space(scene, shape, halved * strain), in_space(scene, shape, halved * curvature))
     if angle is None:
         return SectionStrains(strain, curvature)
     turn = jax.vmap(strain_rotation)(angle)
-    return SectionStrains(*(jnp.einsum("mij,m...j->m...i", turn, values) for values in (strain, curvature)))
+    return SectionStrains(jnp.einsum("mij,m...j->m...i", turn, strain), jnp.einsum("mij,m...j->m...i", turn, curvature))
 
 
 @compiled
@@ -257,5 +258,11 @@ def _energies(scene: Scene, shape: Shape) -> Float[Array, " m"]:
         e = corotational.kinematics((x0 - x0[0]) + (d - d[0]), R, element).deformations
         return corotational.strain_energy(e, element)
 
-    corners = (values[scene.mesh.triangles] for values in (scene.mesh.nodes, shape.displacements, shape.rotations))
-    return jax.vmap(one)(*corners, elements)
+    x0, d, R = _corners(scene, shape)
+    return jax.vmap(one)(x0, d, R, elements)
+
+
+def _corners(scene: Scene, shape: Shape):
+    """Places in the mesh, displacements and rotations of the elements' corners."""
+    triangles = scene.mesh.triangles
+    return scene.mesh.nodes[triangles], shape.displacements[triangles], shape.rotations[triangles]

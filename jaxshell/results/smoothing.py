@@ -1,11 +1,12 @@
 """Nodal values from the elements' own, smoothed where the shell is smooth.
 
-At a node the values of the elements around it, each drawn on linearly from its three mid-edges, are averaged, weighted by
-the elements' areas. Only within a smooth patch: elements that hang together at the node through edges across which the
-section is the same region, and the normals of the mesh turn by less than a limit. So stresses keep their jumps at folds,
-where shells meet, and where the thickness changes.
+At a node the values of the elements around it, each drawn on linearly from its three mid-edges, are averaged, weighted
+by the elements' areas. Only within a smooth patch: elements that hang together at the node through edges across which
+the section is the same region, and the normals of the mesh turn by less than a limit. So stresses keep their jumps at
+folds, where shells meet, and where the thickness changes.
 
-The elements' own moments converge with the first power of the mesh size, nodal ones with the power 1.5 (docs/stresses.md).
+The elements' own moments converge with the first power of the mesh size, nodal ones with the power 1.5
+(docs/stresses.md).
 """
 
 from typing import NamedTuple
@@ -47,13 +48,16 @@ def smooth_patches(scene: Scene | Mesh, angle: float = 30.0) -> Patches:
     check_within("angle", angle, 0.0, 180.0)
     mesh = scene.mesh if isinstance(scene, Scene) else scene
     if not is_concrete(mesh.nodes):
-        raise ValueError("Patches are found by the shape: give nodal(patches=smooth_patches(scene)) where it is traced.")
+        raise ValueError(
+            "Patches are found by the shape: give nodal(patches=smooth_patches(scene)) where it is traced."
+        )
     nodes, triangles = np.asarray(mesh.nodes), mesh.triangles
     region = np.zeros(len(triangles), int)
     if isinstance(scene, Scene) and isinstance(scene.section, Regions):
         for number, elements in enumerate(scene.section.elements):
             region[elements.array] = number
-    normals = np.cross(*(nodes[triangles[:, k]] - nodes[triangles[:, 0]] for k in (1, 2)))
+    x = nodes[triangles]
+    normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
 
     # Every edge as two places (element, corner), in the order of its nodes; those that two elements share follow.
@@ -90,14 +94,15 @@ def nodal(
     Arguments:
         values: (m, 3, ...) at the elements' mid-edges, or with at="mean" (m, ...) constant in each; the former are far
             better at the boundary.
-        components: None for what needs no common axes: scalars, and components in axes that vary smoothly (a vector's, a
-            cylinder's, "global"). "forces" or "strains" for components (..., 3) in the elements' axes: they are turned
-            into those of one element of the patch, as its e1 projected onto the others shows, averaged there and turned
-            back, so that the result is in the elements' axes again.
+        components: None for what needs no common axes: scalars, and components in axes that vary smoothly (a vector's,
+            a cylinder's, "global"). "forces" or "strains" for components (..., 3) in the elements' axes: they are
+            turned into those of one element of the patch, as its e1 projected onto the others shows, averaged there and
+            turned back, so that the result is in the elements' axes again.
         angle: limit of the angle between neighbours' normals [degrees]; above it an edge is a fold.
         patches: of `smooth_patches`, to find them once.
 
-    Differentiable by the values, and by the mesh where `patches` are given. Raises ValueError for values of another shape.
+    Differentiable by the values, and by the mesh where `patches` are given. Raises ValueError for values of another
+    shape.
     """
     check_kind("scene", scene, Scene | Mesh, "a jaxshell.Scene or a jaxshell.Mesh")
     check_choice("at", at, ("points", "mean"))
@@ -125,7 +130,7 @@ def _nodal(mesh: Mesh, values, components, labels: Frozen):
     area = 0.5 * coordinates[:, 0] * coordinates[:, 2]
     flat = labels.array.ravel()
     corner = values.reshape(-1, *values.shape[2:])
-    turn = None
+    rotation, turn = None, jnp.zeros(flat.shape)
     if components is not None:
         # Of every patch the first element, from whose e1 the others' axes are counted.
         _, first = np.unique(flat, return_index=True)
@@ -140,6 +145,6 @@ def _nodal(mesh: Mesh, values, components, labels: Frozen):
 
     weights = weight.reshape(-1, *[1] * (corner.ndim - 1))
     found = (summed(weights * corner) / summed(weights))[flat]
-    if components is not None:
+    if rotation is not None:
         found = jnp.einsum("cij,c...j->c...i", rotation(-turn), found)
     return found.reshape(values.shape)

@@ -1,8 +1,8 @@
 """Stresses in the layers of a deformed shell: σ = C (ε + z κ - e⁰(z)), plane in every layer.
 
-e⁰(z) is the strain at which the layer's material is free of stress: that of its temperature, or of how it was made. So a
-heated laminate's plies have stresses although its section forces vanish. Transverse stresses are not known to Kirchhoff's
-theory. See `jaxshell.results.section_forces` for what ε and κ are, and how accurate.
+e⁰(z) is the strain at which the layer's material is free of stress: that of its temperature, or of how it was made. So
+a heated laminate's plies have stresses although its section forces vanish. Transverse stresses are not known to
+Kirchhoff's theory. See `jaxshell.results.section_forces` for what ε and κ are, and how accurate.
 """
 
 from typing import NamedTuple
@@ -38,14 +38,15 @@ def stresses(
 
     Arguments:
         frame: the frame's number, or a list of them, which gives a leading axis.
-        at: where in the thickness: "top" (to which the normal points), "bottom", "middle" of the thickness; the number of
-            a ply, counted from 0 at the bottom, for its middle; or (number, "top"), (number, "bottom").
-        axes: as of `section_forces`, and "ply", those of the ply's material. "global" gives tensors (..., 3, 3) in space.
+        at: where in the thickness: "top" (to which the normal points), "bottom", "middle" of the thickness; the number
+            of a ply, counted from 0 at the bottom, for its middle; or (number, "top"), (number, "bottom").
+        axes: as of `section_forces`, and "ply", those of the ply's material. "global" gives tensors (..., 3, 3) in
+            space.
         mean: (m, 3) at the elements' middles in place of (m, 3, 3) at their mid-edges 12, 23, 31.
         elements: only of these, numbers or the name of a set.
 
-    Differentiable; `stresses_of` computes them from arrays. Raises ValueError for a section without layers, a ply that an
-    element does not have, and as `section_forces`.
+    Differentiable; `stresses_of` computes them from arrays. Raises ValueError for a section without layers, a ply that
+    an element does not have, and as `section_forces`.
     """
     return _stresses_at(solution.scene, shape_of(solution, frame), at, axes, mean, elements)
 
@@ -104,8 +105,8 @@ def checked_gauge(scene: Scene, component: str) -> Gauge:
     gauge = gauge_of(component)
     if gauge is None:
         raise ValueError(
-            f'{shown(component)} names no stress and no section force; "von mises top", "sxx bottom", "s11 ply 0 top" and '
-            '"Mxx" do.'
+            f"{shown(component)} names no stress and no section force, as "
+            '"von mises top", "sxx bottom", "s11 ply 0 top" and "Mxx" do.'
         )
     check_gauge(repr(component), gauge, scene.section, scene.mesh)
     return gauge
