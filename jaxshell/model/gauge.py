@@ -11,7 +11,7 @@ on. The value is that at the element's middle, the mean of its three points.
 """
 
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -78,7 +78,7 @@ def check_gauge(what: str, gauge: Gauge, section: AnySection, mesh, elements=Non
 
 def check_at(what: str, at, section: AnySection, mesh, elements=None) -> None:
     """Raise ValueError, which begins with `what`, for a place that is none, or that an element does not have."""
-    ply = at[0] if isinstance(at, tuple) and len(at) == 2 else at
+    ply: Any = at[0] if isinstance(at, tuple) and len(at) == 2 else at
     face = at[1] if isinstance(at, tuple) and len(at) == 2 else "middle"
     numbered = isinstance(ply, int | np.integer) and not isinstance(ply, bool)
     if face not in FACES or not (numbered or (not isinstance(at, tuple) and at in FACES)):

@@ -144,7 +144,7 @@ def _given_strengths(criterion: str, strengths, plies: int) -> list[Strengths]:
     for position, item in enumerate(given):
         name = f"strengths[{position}]" if listed else "strengths"
         if isinstance(item, Mapping):
-            named: dict[str, Any] = {_ALIASES.get(key, key): value for key, value in item.items()}
+            named: dict[str, Any] = {_ALIASES.get(str(key), str(key)): value for key, value in item.items()}
             for key in named:
                 if key not in Strengths.__dataclass_fields__:
                     known = ", ".join(Strengths.__dataclass_fields__)
