@@ -42,8 +42,22 @@ if TYPE_CHECKING:
     from jaxshell.model.scene import Initial, Scene
     from jaxshell.model.sections import Cylindrical, GeneralSection, Laminate, Ply, Section
     from jaxshell.model.supports import Support, clamped, pinned, symmetry
+    from jaxshell.numerics.plane_stress import principal, von_mises
+    from jaxshell.results.failure import Strengths, failure_index, failure_index_of, ks
+    from jaxshell.results.mass_properties import MassProperties, mass_properties
     from jaxshell.results.output import Output
+    from jaxshell.results.section_forces import (
+        SectionForces,
+        SectionStrains,
+        section_forces,
+        section_forces_of,
+        section_strains,
+        section_strains_of,
+        strain_energies,
+    )
+    from jaxshell.results.smoothing import nodal, smooth_patches
     from jaxshell.results.solution import RESULTS, Energy, Momentum, Solution
+    from jaxshell.results.stresses import stresses, stresses_of
     from jaxshell.solvers.linear_solver import KLU, Dense, Pardiso
     from jaxshell.solvers.newton import Newton
 
@@ -71,6 +85,7 @@ __all__ = [
     "InitialStrain",
     "Isotropic",
     "Laminate",
+    "MassProperties",
     "Mesh",
     "Modes",
     "Momentum",
@@ -87,27 +102,45 @@ __all__ = [
     "RayleighDamping",
     "Scene",
     "Section",
+    "SectionForces",
+    "SectionStrains",
     "SimulationError",
     "Solution",
     "StepControl",
     "Stored",
+    "Strengths",
     "Support",
     "Thermal",
     "clamped",
+    "failure_index",
+    "failure_index_of",
     "gradients",
+    "ks",
     "linear_buckling",
+    "mass_properties",
     "methods",
     "natural_frequencies",
+    "nodal",
     "pinned",
     "plotting",
+    "principal",
     "reactions",
     "scenes",
+    "section_forces",
+    "section_forces_of",
+    "section_strains",
+    "section_strains_of",
     "settle",
     "simulate",
+    "smooth_patches",
     "solve_arc_length",
     "solve_static",
+    "strain_energies",
+    "stresses",
+    "stresses_of",
     "structured_triangles",
     "symmetry",
+    "von_mises",
 ]
 
 _HOMES = {
@@ -142,6 +175,20 @@ _HOMES = {
     "analyses.modal": ["BucklingModes", "Modes", "linear_buckling", "natural_frequencies"],
     "solvers.newton": ["Newton"],
     "results.output": ["Output"],
+    "numerics.plane_stress": ["principal", "von_mises"],
+    "results.failure": ["Strengths", "failure_index", "failure_index_of", "ks"],
+    "results.mass_properties": ["MassProperties", "mass_properties"],
+    "results.section_forces": [
+        "SectionForces",
+        "SectionStrains",
+        "section_forces",
+        "section_forces_of",
+        "section_strains",
+        "section_strains_of",
+        "strain_energies",
+    ],
+    "results.smoothing": ["nodal", "smooth_patches"],
+    "results.stresses": ["stresses", "stresses_of"],
     "model.scene": ["Initial", "Scene"],
     "plotting": ["plotting"],
     "scenes": ["scenes"],

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxshell.analyses.step_control import Control, StepControl
 from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.gauges import Watching
 from jaxshell.assembly.tables import Tables
 from jaxshell.gradients import Gradients, merge, scan_steps
 from jaxshell.methods.base import Method, Observation, Solvers
@@ -128,7 +129,11 @@ def carried(model: Model, plan: Plan, before, after, dt) -> Float[Array, " nh"] 
 
 def record(model: Model, plan: Plan, state, reaction, iterations, factorizations, done) -> Record:
     """What is kept of the step that led to `state`."""
-    values = [watched(model, state, node, component) for _, node, component in plan.watch]
+    gauges = iter(model.gauges)
+    values = [
+        watched(model, state, number, component) if component in WATCHABLE else read(model, state, next(gauges))
+        for _, number, component in plan.watch
+    ]
     values = jnp.stack(values) if values else jnp.zeros(0)
     observed = plan.method.observe(model, state)
     return Record(state.time, values, observed, iterations, factorizations, done, reaction)
@@ -138,6 +143,12 @@ def watched(model: Model, state: State, node: int, component: str):
     """A component out of WATCHABLE at a node."""
     axis = WATCHABLE.index(component) % 3
     return (state.v if component[0] == "v" else state.displacements(model.x0))[node, axis]
+
+
+def read(model: Model, state: State, gauge: Watching):
+    """A stress or a section force at an element."""
+    d = state.displacements(model.x0)
+    return gauge.read(model.x0, model.tables.triangles, model.elements, d, state.R, state.time)
 
 
 def frame(model: Model, state: State) -> Frame:

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxshell.assembly.gauges import Watching, watching
 from jaxshell.assembly.tables import Structure, Tables
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
@@ -65,6 +66,8 @@ class Model(eqx.Module):
     """The shell's size, the diagonal of its bounding box [length]: the scale of convergence."""
     tables: Tables
     damping: Damping | None = None
+    gauges: tuple[Watching, ...] = ()
+    """What reads the stresses and section forces that the scene watches."""
 
     @classmethod
     def build(cls, scene: Scene, tables: Tables) -> "Model":
@@ -81,7 +84,7 @@ class Model(eqx.Module):
         size = jnp.linalg.norm(jnp.max(x0, axis=0) - jnp.min(x0, axis=0))
         damping = None if scene.damping is None else scene.damping.per_element(scene.mesh.n_elements)
         acting, rests = _acting(scene, tables, surface), _rests(scene, elements)
-        return cls(x0, elements, dead, acting, rests, moving, size, tables, damping)
+        return cls(x0, elements, dead, acting, rests, moving, size, tables, damping, watching(scene, elements))
 
     def elements_at(self, *weighted: tuple[Any, Any]) -> Element:
         """The elements with the mean of their stress-free states at some times: (weight, time) each.

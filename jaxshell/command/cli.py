@@ -77,6 +77,13 @@ def _parser() -> argparse.ArgumentParser:
     plot.set_defaults(command=_plot)
     plot.add_argument("files", nargs="+", type=Path, metavar="FILE.h5")
     plot.add_argument("--output", type=Path, metavar="DIR", help="where pictures go (default: beside the file)")
+    plot.add_argument(
+        "--contour",
+        action="append",
+        default=[],
+        metavar="WHAT",
+        help='colour the shapes by a stress or section force: "von mises top", "sxx bottom", "Mxx"; may be repeated',
+    )
 
     chart = commands.add_parser("chart", help="draw error against time for every choice, and the best of them")
     chart.set_defaults(command=_chart)
@@ -188,7 +195,8 @@ def _plot(options: argparse.Namespace) -> int:
         labels = [str(path) for path in loaded]
     first = options.files[0]
     stem = first.stem if len(loaded) == 1 else f"{_common_stem(loaded)}_compared"
-    for path in plot(dict(zip(labels, loaded.values(), strict=True)), options.output or first.parent, stem):
+    runs = dict(zip(labels, loaded.values(), strict=True))
+    for path in plot(runs, options.output or first.parent, stem, options.contour):
         print(path)
     return 0
 

@@ -6,8 +6,11 @@ import numpy as np
 
 from jaxshell.model.mechanisms import connected_parts
 from jaxshell.model.scene import Scene
+from jaxshell.numerics.plane_stress import principal
 from jaxshell.results.diagnostics import energy_balance, loads_end, momentum_scales
+from jaxshell.results.section_forces import section_forces
 from jaxshell.results.solution import Solution
+from jaxshell.results.stresses import largest_von_mises
 
 _PARTS = 5
 """So many loose parts are named one by one."""
@@ -41,8 +44,25 @@ def describe_run(label: str, run: Solution, path: Path) -> str:
         low, high = int(values.argmin()), int(values.argmax())
         least, most = (f"{values[i]:.6g} at t = {times[i]:.6g}" for i in (low, high))
         lines.append(f"  {name}: {least} to {most}")
+    lines += _strained(run)
     lines.append(f"  {path} ({path.stat().st_size / 1e6:.1f} MB)")
     return "\n".join(lines)
+
+
+def _strained(run: Solution) -> list[str]:
+    """The largest stress of the last frame, or of sections without layers the largest section forces."""
+    if not len(run.frame_times):
+        return []
+    when = f"at t = {float(run.frame_times[-1]):.6g}"
+    if run.scene.section.layers(run.scene.mesh) is not None:
+        largest = largest_von_mises(run)
+        return [f"  largest von Mises stress {when}: {largest.value:.6g}, element {largest.element}, {largest.face}"]
+    found = section_forces(run, at="mean")
+    lines = []
+    for name, values in (("membrane force", found.N), ("moment", found.M)):
+        largest = np.abs(np.asarray(principal(values).values)).max(axis=1)
+        lines.append(f"  largest principal {name} {when}: {largest.max():.6g}, element {int(largest.argmax())}")
+    return lines
 
 
 def _energy(run: Solution) -> list[str]:

@@ -10,7 +10,8 @@
     [[loads]]      kind = "force", "moment", "edge force", "gravity", "pressure" or "normal force"; nodes; its
                    force, moment, acceleration, pressure or magnitude; history
     [damping]      alpha, beta, or ratios with modes (counted from 1) or frequencies: see `RayleighDamping`
-    [watch]        label = { nearest or node, component }
+    [watch]        label = { nearest or node, component }, or of a stress or section force, as "von mises top" or "Mxx",
+                   { nearest or element, component }
     [initial]      velocity, angular_velocity, about: a rigid motion
     [run]          how it is run: the keys of `jaxshell.files.run_keys.RunSettings`, method, dt, t_end, save_every,
                    step_tolerance (step control, started with dt), reactions, ...
@@ -31,6 +32,7 @@ from jaxshell.files.sections import chosen_kind, read_direction, read_materials,
 from jaxshell.files.selectors import NODE_SELECTORS, chosen_elements, chosen_nodes
 from jaxshell.files.tables import Table
 from jaxshell.model.damping import RayleighDamping
+from jaxshell.model.gauge import gauge_of
 from jaxshell.model.generators import GENERATORS
 from jaxshell.model.history import History
 from jaxshell.model.loads import LOADS, InitialStrain, InitialStrains, Load, Thermal
@@ -171,14 +173,17 @@ def _watch(table: Table, mesh: Mesh) -> dict[str, tuple[int, str]]:
     found = {}
     for label in table.content:
         inner = table.table(label)
-        inner.only("nearest", "node", "component")
-        if ("nearest" in inner.content) == ("node" in inner.content):
-            raise ValueError(f"{inner.name} needs either nearest = [x, y, z] or node = number.")
-        if "node" in inner.content:
-            node = inner.get("node")
+        component = inner.text("component") if "component" in inner.content else ""
+        where = "node" if gauge_of(component) is None else "element"
+        inner.only("nearest", where, "component")
+        if ("nearest" in inner.content) == (where in inner.content):
+            raise ValueError(f"{inner.name} needs either nearest = [x, y, z] or {where} = number.")
+        if where in inner.content:
+            number = inner.get(where)
         else:
-            node = mesh.nearest_node(inner.vectors("nearest", (3,)))
-        found[label] = (node, inner.text("component"))
+            nearest = mesh.nearest_node if where == "node" else mesh.nearest_element
+            number = nearest(inner.vectors("nearest", (3,)))
+        found[label] = (number, inner.text("component"))
     return found
 
 

@@ -147,10 +147,11 @@ class Mesh(eqx.Module):
 
     def nearest_node(self, point) -> int:
         """Index of the node nearest to `point` (3,). Raises ValueError for anything but three finite numbers."""
-        point = float_array(point, "point")
-        check_shape("point", point, (3,))
-        check_finite("point", point)
-        return int(np.argmin(np.linalg.norm(np.asarray(self.nodes) - np.asarray(point), axis=1)))
+        return _nearest(np.asarray(self.nodes), point)
+
+    def nearest_element(self, point) -> int:
+        """Index of the element whose middle is nearest to `point` (3,). Raises ValueError as `nearest_node`."""
+        return _nearest(np.asarray(self.nodes)[self.triangles].mean(axis=1), point)
 
     def boundary_edges(self) -> np.ndarray:
         """(k, 2) node indices of the edges that belong to one triangle only."""
@@ -221,6 +222,13 @@ def structured_triangles(rows: int, columns: int, periodic: bool = False) -> np.
     after = (j + 1) % width
     a, b, c, d = i * width + j, (i + 1) * width + j, (i + 1) * width + after, i * width + after
     return np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], 1).reshape(-1, 3)
+
+
+def _nearest(places: np.ndarray, point) -> int:
+    point = float_array(point, "point")
+    check_shape("point", point, (3,))
+    check_finite("point", point)
+    return int(np.argmin(np.linalg.norm(places - np.asarray(point), axis=1)))
 
 
 def triangle_areas(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from jaxshell.model.contribution import Contribution
 from jaxshell.model.damping import RayleighDamping
+from jaxshell.model.gauge import check_gauge, gauge_of
 from jaxshell.model.loads import InitialStrains, Load
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sections import AnySection, Regions
@@ -108,8 +109,10 @@ class Scene(eqx.Module):
         supports, loads: sequences, possibly empty.
         initial: the state at the start; None is rest.
         name: for files and pictures.
-        watch: {label: (node, component)}, component out of ux, uy, uz, vx, vy, vz; kept at every step. Or the same as
-            (label, node, component), as a scene has it: so `dataclasses.replace` makes a scene that differs in a part.
+        watch: {label: (node, component)}, component out of ux, uy, uz, vx, vy, vz, or {label: (element, component)} for
+            a stress or section force such as "von mises top", "sxx bottom", "s11 ply 0", "Mxx" (`jaxshell.model.gauge`
+            lists them); kept at every step. Or the same as (label, number, component), as a scene has it: so
+            `dataclasses.replace` makes a scene that differs in a part.
         defaults: suggested time step, duration and methods (used by the command line only).
         damping: `RayleighDamping`, or None. Runs in time have it; statics and frequencies do not look at it.
 
@@ -167,10 +170,8 @@ class Scene(eqx.Module):
                 nodes = getattr(item, "nodes", None)
                 if nodes is not None:
                     _check_nodes(f"{kind} {position}", nodes.array, n)
-        for label, node, component in self.watch:
-            _check_nodes(f"watch {label!r}", np.array([node]), n)
-            if not isinstance(component, str) or component not in WATCHABLE:
-                raise ValueError(f"watch {label!r} names {shown(component)}; choose out of {', '.join(WATCHABLE)}.")
+        for label, number, component in self.watch:
+            self._check_watched(f"watch {label!r}", number, component)
         for position, load in enumerate(self.loads):
             try:
                 load.check(self.mesh)
@@ -181,6 +182,22 @@ class Scene(eqx.Module):
         if self.initial is not None:
             self.initial.check(n)
         self._check_prescribed_once()
+
+    def _check_watched(self, what: str, number: int, component):
+        gauge = gauge_of(component)
+        if gauge is None:
+            _check_nodes(what, np.array([number]), self.mesh.n_nodes)
+            if not isinstance(component, str) or component not in WATCHABLE:
+                raise ValueError(
+                    f"{what} names {shown(component)}; choose out of {', '.join(WATCHABLE)} of a node, or of an "
+                    'element a stress or section force such as "von mises top", "sxx bottom", "Mxx".'
+                )
+            return
+        if not 0 <= number < self.mesh.n_elements:
+            raise ValueError(
+                f"{what} names element {number}, but the mesh has elements 0 to {self.mesh.n_elements - 1}."
+            )
+        check_gauge(what, gauge, self.section, self.mesh, [number])
 
     def _check_prescribed_once(self):
         moved = [s.dof_numbers.ravel() for s in self.supports if s.displacement is not None]

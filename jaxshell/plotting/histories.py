@@ -5,7 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
+from jaxshell.model.gauge import gauge_of
 from jaxshell.model.scene import Scene
+from jaxshell.plotting.colouring import name_of, symbol_of
 from jaxshell.plotting.shapes import symmetry_planes
 from jaxshell.plotting.style import BLACK, BLUE, GREEN, PURPLE, VERMILLION, WIDTH, line, plain, scaled, symmetry_note
 from jaxshell.results.diagnostics import energy_balance, momentum_scales
@@ -15,9 +17,9 @@ Runs = Mapping[str, Solution]
 
 
 def watched_figure(runs: Runs, kind: str) -> Figure | None:
-    """A panel for each watched displacement (`kind` "u") or velocity ("v"); None when none is watched."""
+    """A panel for each watched quantity of a `kind` (`kind_of`); None when none is watched."""
     scene = next(iter(runs.values())).scene
-    watched = [(label, component) for label, _, component in scene.watch if component[0] == kind]
+    watched = [(label, component) for label, _, component in scene.watch if kind_of(component) == kind]
     if not watched:
         return None
     figure, panels, seconds = _panels(runs, len(watched), 1, height=2.6 if len(watched) == 1 else 2.0)
@@ -29,6 +31,12 @@ def watched_figure(runs: Runs, kind: str) -> Figure | None:
         panel.set_ylabel(text)
     _legend(figure, panels[0, 0], runs)
     return figure
+
+
+def kind_of(component: str) -> str:
+    """Of a watched component: "u" for displacements, "v" for velocities, "stress", "N" or "M" for section forces."""
+    gauge = gauge_of(component)
+    return component[0] if gauge is None else gauge.quantity
 
 
 def energy_figure(runs: Runs) -> Figure:
@@ -125,6 +133,10 @@ def _axis(scene: Scene, label: str, component: str, values) -> tuple[float, str]
         if own == label:
             return divisor, text
     largest = max(float(np.max(np.abs(value))) for value in values)
+    gauge = gauge_of(component)
+    if gauge is not None:
+        divisor, unit = scaled(scene, largest, symbol_of(gauge))
+        return divisor, f"{plain(label)}, {name_of(component, gauge)}{unit}"
     divisor, unit = scaled(scene, largest, "m" if component[0] == "u" else "m/s")
     return divisor, f"{plain(label)}, ${component[0]}_{component[1]}${unit}"
 

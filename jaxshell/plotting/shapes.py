@@ -1,43 +1,39 @@
-"""Deformed shapes in orthographic projection, true to scale, coloured by how far each point has moved."""
+"""Deformed shapes in orthographic projection, true to scale, coloured by displacements, stresses or section forces."""
 
 import math
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 
 from jaxshell.model.scene import Scene
 from jaxshell.model.supports import symmetry
+from jaxshell.plotting.colouring import contour, displaced
 from jaxshell.plotting.style import WIDTH, scaled
 from jaxshell.results.solution import Solution
 
-COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.15, 1, 256)))
-"""Perceptually uniform and monotone in grey; without its darkest end, in which edges and shades drown."""
 _AZIMUTH, _ELEVATION, _LOW_ELEVATION = math.radians(-60.0), math.radians(22.0), math.radians(11.0)
 _FLAT = 0.15
 """A shell that never rises above this fraction of its width is seen from lower, or its height would not show."""
 _MOST_PANELS = 6
 
 
-def shapes_figure(run: Solution, name: str = "") -> Figure:
-    """The deformed shell at the scene's picture times: a panel each, or one picture along its flight."""
+def shapes_figure(run: Solution, name: str = "", component: str | None = None) -> Figure:
+    """The deformed shell at the scene's picture times: a panel each, or one picture along its flight.
+
+    Coloured by displacements, or by the smoothed values of `component`, the text of a gauge (`jaxshell.model.gauge`).
+    """
     scene = run.scene
     chosen = _picture_frames(run)
     times = np.asarray(run.frame_times)[chosen]
     displacements = np.asarray(run.frame(chosen).displacements)
     planes = symmetry_planes(scene)
     shapes = [np.asarray(scene.mesh.nodes) + u for u in displacements]
-    distances = [np.linalg.norm(u, axis=1) for u in displacements]
+    colouring = displaced(run, displacements) if component is None else contour(run, chosen.tolist(), component)
     triangles = _mirrored_triangles(scene.mesh.triangles, scene.mesh.n_nodes, 2 ** len(planes))
     shapes = [_mirrored(shape, planes) for shape in shapes]
-    distances = [np.tile(distance, 2 ** len(planes)) for distance in distances]
-
-    largest = max(float(d.max()) for d in distances)
-    length, length_unit = scaled(scene, largest, "m")
-    colours = ScalarMappable(Normalize(0, largest / length if largest > 0 else 1.0), COLOUR_MAP)
+    values = [np.tile(value, 2 ** len(planes)) for value in colouring.values]
+    colours = colouring.colours
     seconds, time_unit = scaled(scene, float(run.frame_times[-1]), "s")
     labels = [f"t = {t / seconds:.4g}{time_unit.replace(' in', '')}" for t in times]
     projected = [_project(shape, _elevation(shapes)) for shape in shapes]
@@ -49,11 +45,11 @@ def shapes_figure(run: Solution, name: str = "") -> Figure:
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     if flies:
-        _draw(panels[0], projected, shapes, triangles, distances, length, colours)
+        _draw(panels[0], projected, shapes, triangles, values, colours)
         _label_shapes(panels[0], projected, labels)
     else:
         for i, label in enumerate(labels):
-            _draw(panels[i], [projected[i]], [shapes[i]], triangles, [distances[i]], length, colours)
+            _draw(panels[i], [projected[i]], [shapes[i]], triangles, [values[i]], colours)
             panels[i].set_title(label)
     margin = 0.04 * (high - low).max()
     for panel in panels:
@@ -63,7 +59,7 @@ def shapes_figure(run: Solution, name: str = "") -> Figure:
         panel.set_ylim(low[1] - margin, high[1] + margin)
     _scale_bar(panels[len(times) - 1 if not flies else 0], scene, low, high)
     bar = figure.colorbar(colours, ax=panels.tolist(), fraction=0.03, aspect=30, pad=0.02)
-    bar.set_label(f"Displacement{length_unit}")
+    bar.set_label(colouring.label)
     bar.outline.set_visible(False)
     figure.suptitle(_title(name, planes), fontsize=9.5)
     return figure
@@ -138,15 +134,14 @@ def _project(points: np.ndarray, elevation: float) -> np.ndarray:
     return points @ np.stack([right, np.cross(towards, right), towards], axis=1)
 
 
-def _draw(panel, projected, shapes, triangles, distances, length, colours) -> None:
+def _draw(panel, projected, shapes, triangles, values, colours) -> None:
     """Triangles of all shapes, the farthest first (painter's algorithm), shaded by how they face a light."""
     corners = np.concatenate([p[triangles] for p in projected])
     solid = np.concatenate([shape[triangles] for shape in shapes])
-    values = np.concatenate([distance[triangles].mean(axis=1) for distance in distances])
     normals = np.cross(solid[:, 1] - solid[:, 0], solid[:, 2] - solid[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     light = np.array([0.3, -0.6, 0.75]) / np.linalg.norm([0.3, -0.6, 0.75])
-    faces = colours.to_rgba(values / length)
+    faces = colours.to_rgba(np.concatenate(values))
     faces[:, :3] *= 0.72 + 0.28 * np.abs(normals @ light)[:, None]
     order = np.argsort(corners[:, :, 2].mean(axis=1))
     edges = faces * np.array([0.7, 0.7, 0.7, 1.0])
