@@ -144,9 +144,8 @@ def turning_of_points(model: Model, u: Float[Array, "n 6"], spins: Spins) -> Any
 
 def deformations(model: Model, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"]) -> Float[Array, "m 12"]:
     """e of all elements."""
-    return jax.vmap(lambda x, R, element: corotational.kinematics(x, R, element).deformations)(
-        *model.gather((x, R)), model.elements
-    )
+    x, R = model.gather((x, R))
+    return jax.vmap(lambda x, R, element: corotational.kinematics(x, R, element).deformations)(x, R, model.elements)
 
 
 def stretching(model: Model, x, R, v: Float[Array, "n 3"], omega: Float[Array, "n 3"]) -> Float[Array, "m 12"]:
@@ -157,7 +156,8 @@ def stretching(model: Model, x, R, v: Float[Array, "n 3"], omega: Float[Array, "
         rows = corotational.gradient_to_global(corotational.deformation_gradient(kin), kin)
         return rows @ jnp.concatenate([v, omega], axis=1).reshape(18)
 
-    return jax.vmap(one)(*model.gather((x, R, v, omega)), model.elements)
+    x, R, v, omega = model.gather((x, R, v, omega))
+    return jax.vmap(one)(x, R, v, omega, model.elements)
 
 
 def viscous_force(model: Model, x, R, rates: Float[Array, "m 12"]) -> Float[Array, "n 6"]:
@@ -169,8 +169,8 @@ def viscous_force(model: Model, x, R, rates: Float[Array, "m 12"]) -> Float[Arra
         f = corotational.stresses(beta * rate, element)
         return corotational.to_global(corotational.local_forces(kin, f), kin)
 
-    corners = model.gather((x, R))
-    return model.assemble_vector(jax.vmap(one)(*corners, rates, model.damping.beta, model.elements))
+    x, R = model.gather((x, R))
+    return model.assemble_vector(jax.vmap(one)(x, R, rates, model.damping.beta, model.elements))
 
 
 def initial_force(model: Model, x, R, v, omega) -> Float[Array, "n 6"]:
