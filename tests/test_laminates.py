@@ -273,15 +273,13 @@ def test_kosmatkas_plate():
     """Cantilever 9 × 3 × 0.1 in of graphite/epoxy, [±22.5/0₂/-22.5/0₂/22.5/0₂]s: measured 69, 270, 427, 890, 1155, 1426 Hz."""
     material = js.Orthotropic(22.43e6, 1.45e6, 0.25, 0.917e6, 0.05781 / 386.09)
     section = js.Laminate.from_layup("[±22.5/0₂/-22.5/0₂/22.5/0₂]s", material, 0.1 / 20)
-    mesh = rectangle(9.0, 3.0, [18, 6])
+    mesh = rectangle(9.0, 3.0, [36, 12])
     clamp = js.clamped(np.flatnonzero(np.asarray(mesh.nodes)[:, 0] == 0))
     found = np.asarray(js.natural_frequencies(js.Scene(mesh, section, [clamp]), 6).frequencies)
     error = found / np.array([69, 270, 427, 890, 1155, 1426]) - 1
     print("Hz:", np.round(found, 1), "against the measured:", [f"{e:+.1%}" for e in error])
-    # Thin plates have no shear deformation, a clamp has some give, and the moduli are those of the tow: all modes but
-    # the last, which is within the reading, are above the measured ones; the fifth, which bends across, most.
-    assert np.all(np.abs(error[[0, 1, 2, 3, 5]]) < 0.03) and 0 < error[4] < 0.06
-    assert np.all(error[:5] > 0)
+    # Shear would lower these modes by less than 1 %; docs/sections.md says what is left.
+    assert np.all(np.abs(error[[0, 1, 2, 3, 5]]) < 0.03) and 0 < error[4] < 0.05
 
 
 # --- gradients --------------------------------------------------------------------------------------------
