@@ -15,7 +15,16 @@ from jaxshell.model.sections.base import AnySection, Layers, Patch, Resultants, 
 from jaxshell.model.sections.direction import angles, degrees, given_direction
 from jaxshell.model.sections.layup import read_layup
 from jaxshell.model.sections.ply import Ply
-from jaxshell.numerics.checks import check_finite, check_kind, check_shape, check_switch, float_array, shown
+from jaxshell.numerics.checks import (
+    check_finite,
+    check_kind,
+    check_one_or_each,
+    check_positive,
+    check_shape,
+    check_switch,
+    float_array,
+    shown,
+)
 
 
 class Laminate(AnySection):
@@ -73,7 +82,10 @@ class Laminate(AnySection):
         of the lower half are kept, and the others mirror them.
         """
         angles, symmetric = read_layup(layup)
-        return cls([Ply(material, ply_thickness, angle) for angle in angles], direction, offset, symmetric)
+        thickness = float_array(ply_thickness, "ply_thickness")
+        check_one_or_each("ply_thickness", thickness)
+        check_positive("ply_thickness", thickness)
+        return cls([Ply(material, thickness, angle) for angle in angles], direction, offset, symmetric)
 
     @property
     def all_plies(self) -> tuple[Ply, ...]:
