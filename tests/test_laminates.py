@@ -242,10 +242,10 @@ def clamped_plate(loads, cells=6, section=None) -> js.Scene:
 
 def test_thermal_buckling_of_a_clamped_plate():
     """N = EhαT/(1-ν) = 52.3447 D/a² (Bjørstad & Tjøstheim 1999, Computing 63, table 3), approached from the mesh."""
-    T = float(js.linear_buckling(clamped_plate([js.Thermal(1.0)]), count=1).load_factors[0])
+    T = float(js.linear_buckling(clamped_plate([js.Thermal(1.0)], 8), count=1).load_factors[0])
     exact = 52.344691168 * 0.01**2 / 12 / (1 + 0.3) / 2e-5
     print(f"T of buckling: {T:.4g}, closed form {exact:.4g} ({T / exact - 1:+.2%})")
-    assert pytest.approx(exact, rel=0.02) == T
+    assert 0 < T / exact - 1 < 0.015
 
 
 def test_a_gradient_bends_a_clamped_plate_without_moving_it():

@@ -12,21 +12,16 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxshell.assembly.discretised import Acting, Model
 from jaxshell.gradients import keep
 from jaxshell.methods.predictor import extrapolate
 from jaxshell.model.contribution import Place
-from jaxshell.model.sections import Section
 from jaxshell.numerics.batching import one_by_one
-from jaxshell.numerics.checks import is_concrete
 from jaxshell.numerics.rotations import H_inverse, exp
 from jaxshell.solvers.iteration import Linear, Memory, Problem
 from jaxshell.solvers.newton import Newton, attach_derivative
-
-_ROUND_OFF = 1e-9
 
 
 class Motion(NamedTuple):
@@ -115,7 +110,7 @@ class Method(eqx.Module):
 
     def check(self, scene, steps) -> None:
         """Raise ValueError where the method cannot run `scene` with these step sizes; before compilation."""
-        if not self.knows_first_moment and has_first_moment(scene):
+        if not self.knows_first_moment and scene.section.has_first_moment(scene.mesh):
             raise ValueError(
                 f"{type(self).__name__} does not know a section whose mass lies to one side of the surface of the "
                 "nodes (offset, or plies of different density): EnergyMomentum does."
@@ -139,18 +134,6 @@ class Method(eqx.Module):
 
         At held degrees of freedom what the supports carry, at free ones what Newton has left.
         """
-
-
-def has_first_moment(scene) -> bool:
-    """Whether ∫ρz dz of some element is known to be more than round-off."""
-    if isinstance(scene.section, Section):  # is in no need of arithmetic
-        return False
-    found = scene.section.resultants(scene.mesh)
-    values = found.first_moment, found.mass_per_area, found.rotary_inertia
-    if found.first_moment is None or not all(map(is_concrete, values)):
-        return False
-    first, mass, second = map(np.asarray, values)
-    return bool(np.any(np.abs(first) > _ROUND_OFF * np.sqrt(mass * second)))
 
 
 class ImplicitMethod(Method):
