@@ -127,6 +127,29 @@ FILES: list[dict] = [
     {"mesh": {"generator": "spherical_cap", "radius": 1.0, "half_angle": 30.0, "divisions": 2}, "section": SECTION,
      "run": {"method": ["exact"], "dt": 0.1, "t_end": 1.0, "linear_solver": "dense", "tangent": "autodiff"}},
     {"mesh": {"generator": "spherical_zone", "radius": 1.0, "top": 20.0, "bottom": 60.0, "divisions": [6, 2]}, "section": SECTION},
+    {
+        "mesh": {"generator": "rectangle", "length": 4.0, "width": 2.0, "divisions": [2, 1],
+                 "element_sets": {"skin": [0, 1], "rib": {"box": [[2.0, 0.0, 0.0], [4.0, 2.0, 0.0]]}}},
+        "materials": {
+            "carbon": {"young_modulus_1": 1e6, "young_modulus_2": 1e5, "poisson_ratio_12": 0.3, "shear_modulus_12": 5e4,
+                       "density": 1.0, "expansion_2": 1e-5},
+            "steel": {"kind": "isotropic", "young_modulus": 2e6, "poisson_ratio": 0.3, "density": 7.0}},
+        "section": [
+            {"elements": "skin", "kind": "laminate", "layup": "[45/-45/0_2/90]2s", "material": "carbon", "ply_thickness": 0.01,
+             "direction": [1.0, 0.0, 0.0], "offset": 0.01},
+            {"elements": {"box": [[2.0, 0.0, 0.0], [4.0, 2.0, 0.0]]}, "kind": "laminate", "symmetric": True,
+             "direction": {"axis": [0.0, 1.0, 0.0], "origin": [0.0, 0.0, 5.0], "along": "circumference"},
+             "plies": [{"material": "steel", "thickness": 0.1, "angle": 30.0}, {"material": "carbon", "thickness": 0.1}]}],
+        "thermal": [{"temperature": 10.0, "gradient": 1.0, "history": {"ramp": 1.0}}],
+        "initial_strain": [{"strain": [1e-3, 0.0, 0.0], "curvature": [0.0, 0.1, 0.0], "direction": [0.0, 1.0, 0.0]}],
+        "run": {"method": "exact", "dt": 0.01, "t_end": 1.0},
+    },
+    {
+        "mesh": {"generator": "rectangle", "length": 4.0, "width": 2.0, "divisions": [2, 1]},
+        "section": {"kind": "general", "A": [[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]],
+                    "B": [[0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]], "mass_per_area": 1.0,
+                    "D": [[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]], "rotary_inertia": 0.1, "first_moment": 0.01},
+    },
     {"mesh": {"file": "sheet.vtk", "quads": "split", "merge": 1e-6, "orient": True, "coincident": "error"}, "section": SECTION},
 ]  # fmt: skip
 
@@ -261,6 +284,17 @@ TRIANGLES = [[0, 1, 2], [0, 2, 3]]
 MESH = js.Mesh(NODES, TRIANGLES)
 RAMP = js.History.ramp(1.0)
 PLAIN = js.Section(**SECTION)
+ORTHOTROPIC = {
+    "young_modulus_1": 1e6,
+    "young_modulus_2": 1e5,
+    "poisson_ratio_12": 0.3,
+    "shear_modulus_12": 5e4,
+    "density": 1.0,
+    "expansion_1": 1e-6,
+    "expansion_2": 1e-5,
+}
+PLY = js.Ply(js.Orthotropic(**ORTHOTROPIC), 0.1)
+EYE = np.eye(3).tolist()
 SUPPORTED = js.Scene(MESH, PLAIN, [js.clamped([0, 3])], [js.NodalForce([1], [0.0, 0.0, 1.0])])
 UP = [0.0, 0.0, 1.0]
 
@@ -282,6 +316,17 @@ CALLS: dict[str, tuple[Callable, dict[str, Any]]] = {
     "nearest_node": (MESH.nearest_node, {"point": UP}),
     "nodes_where": (MESH.nodes_where, {"condition": lambda x: x[0] == 0}),
     "Section": (js.Section, SECTION),
+    "Orthotropic": (js.Orthotropic, ORTHOTROPIC),
+    "Isotropic": (js.Isotropic, {"young_modulus": 1e6, "poisson_ratio": 0.3, "density": 1.0, "expansion": 1e-5}),
+    "Ply": (js.Ply, {"material": js.Orthotropic(**ORTHOTROPIC), "thickness": 0.1, "angle": 30.0}),
+    "Laminate": (js.Laminate, {"plies": [PLY], "direction": UP, "offset": 0.1, "symmetric": True}),
+    "Laminate.from_layup": (js.Laminate.from_layup, {"layup": "[0/90_2/±45]2s", "material": PLY.material, "ply_thickness": 0.1,
+                                                     "direction": js.Cylindrical(UP), "offset": 0.1}),
+    "Cylindrical": (js.Cylindrical, {"axis": UP, "origin": UP, "along": "axis"}),
+    "GeneralSection": (js.GeneralSection, {"A": EYE, "B": (0.1 * np.eye(3)).tolist(), "D": EYE, "mass_per_area": 1.0,
+                                           "rotary_inertia": 0.1, "first_moment": 0.1, "thermal": EYE, "direction": UP}),
+    "Thermal": (js.Thermal, {"temperature": 1.0, "gradient": 0.1, "history": RAMP}),
+    "InitialStrain": (js.InitialStrain, {"strain": UP, "curvature": UP, "history": RAMP, "direction": UP}),
     "History": (js.History, {"times": [0.0, 1.0], "values": [0.0, 1.0]}),
     "History.ramp": (js.History.ramp, {"end": 1.0}),
     "NodalForce": (js.NodalForce, {"nodes": [1, 2], "force": UP, "history": RAMP}),

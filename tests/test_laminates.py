@@ -54,18 +54,13 @@ def far():
 def method_and_data(name, far):
     element = far.element
     if name == "Static":
-        return (
-            js.methods.static.Static() if False else static.Static(),
-            static.ElementData(element, far.x * 0),
-            None,
-            far.x,
-        )
+        return static.Static(), static.ElementData(element, far.x - far.x[:1]), None, 0.1 * far.v
     if name == "Newmark":
         method = js.GeneralizedAlpha(0.6)
         return method, newmark.ElementData(element, far.v, far.a, far.points), method.factors(0.1), far.x
     if name == "EnergyMomentum":
         normal = element.frame[2]
-        motion = exact.DirectorMotion(far.v, far.R @ normal, far.a[:, :, None] * normal)
+        motion = exact.DirectorMotion(far.v, far.R @ normal, far.a)
         data = exact.ElementData(element, energy_momentum.StepStart(energy_momentum.edges_of(far.x), far.start), motion)
         return js.EnergyMomentum(0.1), data, exact.Shared(jnp.array(0.1), jnp.array(0.1)), far.x
     method = js.GeneralizedEnergyMomentum(0.8, 0.1)
@@ -134,7 +129,7 @@ def test_a_heated_laminate_flies_with_its_momenta(tmp_path):
 
 def test_kinetic_energy_and_momenta_do_not_depend_on_the_reference_surface():
     """A rigid motion of the same plate, its middle in the plane of the nodes or beside it (moved there)."""
-    ply, z = [js.Ply(js.Isotropic(70e9, 0.3, 2700.0), 1e-3)], 2e-3
+    ply, z = [js.Ply(js.Isotropic(70e9, 0.3, 2700.0, 1e-5), 1e-3)], 2e-3
     beside = strip(z, ply, heat=1e-9)
     model = Model.build(beside, analyse(structure_of(beside))[0])
     state = js.EnergyMomentum().start(model, beside, 0.0)
@@ -143,8 +138,8 @@ def test_kinetic_energy_and_momenta_do_not_depend_on_the_reference_surface():
     mass, x = 2.7 * 0.1 * 0.05, np.asarray(beside.mesh.nodes)
     centre = x.mean(0) + [0, 0, z]
     v = np.array([1.0, 2.0, 3.0]) + np.cross(spin, centre - x.mean(0))
-    a, b, h = 0.1, 0.05, 0.0  # the directors' kinetic energy has I_ρ (1 - n nᵀ), a plate's without ωz
-    inertia = mass / 12 * np.diag([b**2 + 1e-6, a**2 + 1e-6, a**2 + b**2 + h])
+    a, b = 0.1, 0.05
+    inertia = mass / 12 * np.diag([b**2 + 1e-6, a**2 + 1e-6, a**2 + b**2])
     np.testing.assert_allclose(found.linear, mass * v, rtol=1e-12)
     np.testing.assert_allclose(found.angular, mass * np.cross(centre, v) + inertia @ spin, rtol=1e-10)
     assert float(found.kinetic) == pytest.approx(0.5 * mass * v @ v + 0.5 * spin @ inertia @ spin, rel=1e-10)
@@ -178,21 +173,24 @@ def test_free_expansion_is_without_stress():
     x = np.asarray(cap.nodes)
     mesh = js.Mesh(x, cap.triangles)
     E, h, alpha, T = 70e9, 1e-3, 2e-5, 100.0
-    a, b, c = 0, int(np.argmax(x[:, 0])), int(np.argmax(x[:, 1]))
-    across = [("ux", "uy", "uz"), ("uy", "uz"), ("uz",)]
-    line = x[b] - x[a]
-    assert abs(line[1]) < 1e-9 * abs(line[0])
-    supports = [js.Support([a], across[0]), js.Support([b], across[1][:1]), js.Support([a], ("rx", "ry"))] and [
-        js.Support([a], ("ux", "uy", "uz", "rx", "ry", "rz"))
-    ]
+    held = js.clamped([0])
     section = js.Section(h, E, 0.3, 2700.0, alpha)
-    scene = js.Scene(mesh, section, supports, [js.Thermal(T)])
+    scene = js.Scene(mesh, section, [held], [js.Thermal(T)])
     scale = E * h * alpha * T * np.ptp(x[:, 0]) / 4
     still = js.solve_static(scene, [0.5, 1.0])
-    np.testing.assert_allclose(still.displacements[-1], alpha * T * (x - x[a]), atol=1e-12 * np.abs(x).max())
-    print(f"largest force of an element: {largest_stress(still) / scale:.1e} of EhαT·edge")
-    assert largest_stress(still) < 1e-12 * scale
-    assert still.energy.strain[-1] < 1e-20 * E * h * (alpha * T) ** 2 * c
+    np.testing.assert_allclose(still.displacements[-1], alpha * T * (x - x[0]), atol=1e-12 * np.abs(x).max())
+    # Slowly: in 40 steps over a second, at periods of milliseconds.
+    moved = js.simulate(
+        js.Scene(mesh, section, [held], [js.Thermal(T, history=js.History.ramp(1.0))]),
+        js.EnergyMomentum(0.5),
+        dt=0.05,
+        t_end=1.5,
+        newton=TIGHT,
+    )
+    print(
+        f"largest force over EhαT·edge: {largest_stress(still) / scale:.1e} at rest, {largest_stress(moved) / scale:.1e}"
+    )
+    assert max(largest_stress(still), largest_stress(moved)) < 1e-12 * scale
 
 
 def test_bimetal():
@@ -224,7 +222,7 @@ def test_a_strip_that_was_formed_rolls_up():
     ends = np.concatenate([[0], np.cumsum(0.1 * np.exp(1j * turn * (0.5 + np.arange(10))))])
     x = np.asarray(scene.mesh.nodes + found.displacements[-1])[::2]
     np.testing.assert_allclose(x[:, 0], ends.real, atol=1e-9)
-    np.testing.assert_allclose(x[:, 2], ends.imag, atol=1e-9)  # towards the normal, the side that is compressed
+    np.testing.assert_allclose(x[:, 2], -ends.imag, atol=1e-9)  # the side of the normals is stretched
     assert abs(float(found.energy.strain[-1])) < 1e-12 * 0.5 * 1e9 * 1e-9 / 12 * np.pi**2 * 0.1
 
 
@@ -244,22 +242,28 @@ def clamped_plate(loads, cells=6, section=None) -> js.Scene:
 
 def test_thermal_buckling_of_a_clamped_plate():
     """N = EhαT/(1-ν) = 52.3447 D/a² (Bjørstad & Tjøstheim 1999, Computing 63, table 3), approached from the mesh."""
-    T = float(js.linear_buckling(clamped_plate([js.Thermal(1.0)]), count=1).factors[0])
+    T = float(js.linear_buckling(clamped_plate([js.Thermal(1.0)], 8), count=1).load_factors[0])
     exact = 52.344691168 * 0.01**2 / 12 / (1 + 0.3) / 2e-5
     print(f"T of buckling: {T:.4g}, closed form {exact:.4g} ({T / exact - 1:+.2%})")
-    assert T == pytest.approx(exact, rel=0.02)
+    assert 0 < T / exact - 1 < 0.015
 
 
 def test_a_gradient_bends_a_clamped_plate_without_moving_it():
     """M = D (1 + ν) α g everywhere, and at a node of the rim that times the length between its neighbours."""
     scene = clamped_plate([js.Thermal(0.0, 50.0)])
-    found = js.solve_static(scene, [1.0])
-    assert np.abs(found.displacements).max() < 1e-12
-    D = 70e9 * 0.01**3 / 12 / (1 - 0.3**2)
-    node = scene.mesh.nearest_node([0.5, 0.25, 0.0])
-    carried = np.asarray(js.reactions(found))[-1, node]
-    moment = D * (1 + 0.3) * 2e-5 * 50.0 * 0.5 / 6
-    np.testing.assert_allclose(np.abs(carried), [0, 0, 0, 0, moment, 0], atol=1e-9 * moment)
+    tables, _ = analyse(structure_of(scene))
+    node, n = scene.mesh.nearest_node([0.5, 0.25, 0.0]), scene.mesh.n_nodes
+
+    @jax.jit
+    def unbalanced(scene):
+        model = Model.build(scene, tables)
+        force = model.internal_force(model.x0, jnp.broadcast_to(jnp.eye(3), (n, 3, 3)), 1.0)
+        return model.free(force), force[node]
+
+    free, carried = unbalanced(scene)
+    moment = 70e9 * 0.01**3 / 12 / (1 - 0.3**2) * (1 + 0.3) * 2e-5 * 50.0 * 0.5 / 6
+    assert np.abs(free).max() < 1e-12 * moment
+    np.testing.assert_allclose(np.abs(carried), [0, 0, 0, 0, moment, 0], atol=1e-12 * moment)
 
 
 # --- measured ---------------------------------------------------------------------------------------------
@@ -269,11 +273,13 @@ def test_kosmatkas_plate():
     """Cantilever 9 × 3 × 0.1 in of graphite/epoxy, [±22.5/0₂/-22.5/0₂/22.5/0₂]s: measured 69, 270, 427, 890, 1155, 1426 Hz."""
     material = js.Orthotropic(22.43e6, 1.45e6, 0.25, 0.917e6, 0.05781 / 386.09)
     section = js.Laminate.from_layup("[±22.5/0₂/-22.5/0₂/22.5/0₂]s", material, 0.1 / 20)
-    mesh = rectangle(9.0, 3.0, [18, 6])
+    mesh = rectangle(9.0, 3.0, [36, 12])
     clamp = js.clamped(np.flatnonzero(np.asarray(mesh.nodes)[:, 0] == 0))
     found = np.asarray(js.natural_frequencies(js.Scene(mesh, section, [clamp]), 6).frequencies)
-    measured = np.array([69, 270, 427, 890, 1155, 1426])
-    print("Hz:", np.round(found, 1), "against the measured:", [f"{r:+.1%}" for r in found / measured - 1])
+    error = found / np.array([69, 270, 427, 890, 1155, 1426]) - 1
+    print("Hz:", np.round(found, 1), "against the measured:", [f"{e:+.1%}" for e in error])
+    # Shear would lower these modes by less than 1 %; docs/sections.md says what is left.
+    assert np.all(np.abs(error[[0, 1, 2, 3, 5]]) < 0.03) and 0 < error[4] < 0.05
 
 
 # --- gradients --------------------------------------------------------------------------------------------
@@ -299,7 +305,7 @@ def warm_strip(p: dict, dynamic: bool) -> js.Scene:
     return js.Scene(mesh, section, [js.clamped([0, 1])], loads, watch={"tip": (5, "uz")})
 
 
-@pytest.mark.parametrize("dynamic", [False, True], ids=["static", "dynamic"])
+@pytest.mark.parametrize("dynamic", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["static", "dynamic"])
 def test_gradients(dynamic):
     """Adjoint against forward mode to 1e-10 and differences to 1e-6."""
 

@@ -1,7 +1,5 @@
 """Section forces, stresses, failure, smoothing and mass properties against closed forms and hand calculations."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import linear
@@ -9,12 +7,8 @@ import numpy as np
 import pytest
 
 import jaxshell as js
-from jaxshell.command.report import describe_run
-from jaxshell.files.scene_file import read_scene_file
 from jaxshell.model import generators
 from jaxshell.numerics.rotations import exp
-from jaxshell.plotting import figures
-from jaxshell.results.stresses import gauge_field, largest_von_mises
 
 CARBON = js.Orthotropic(140.0, 10.0, 0.3, 5.0, 1.6e-9, 1e-6, 3e-5)
 ANGLES, PLY, OFFSET = (0.0, 45.0, 90.0, -30.0), 0.05, 0.02
@@ -257,9 +251,7 @@ def test_cylinder_and_sphere_under_pressure():
     tube = generators.cylinder(R, 1.0, (2, 12), angle=90.0)
     ends = tube.nodes_where(lambda x: (x[0] < 1e-9) | (x[0] > 1 - 1e-9))
     sides = [js.symmetry(tube.nodes_where(lambda x, a=a: abs(x[a]) < 1e-9), "xyz"[a]) for a in (1, 2)]
-    run = js.solve_static(
-        js.Scene(tube, section, [js.symmetry(ends, "x"), *sides], [js.Pressure(-p)]), [1.0]
-    )
+    run = js.solve_static(js.Scene(tube, section, [js.symmetry(ends, "x"), *sides], [js.Pressure(-p)]), [1.0])
     sign = np.sign(float(run.displacements[-1, :, 1].max() + run.displacements[-1, :, 1].min()))
     axial, hoop, _ = np.moveaxis(np.asarray(js.stresses(run, at="middle", axes=[1.0, 0, 0], mean=True)), -1, 0)
     close(sign * hoop, p * R / h, 0.01)

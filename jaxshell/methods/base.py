@@ -19,6 +19,7 @@ from jaxshell.gradients import keep
 from jaxshell.methods.predictor import extrapolate
 from jaxshell.model.contribution import Place
 from jaxshell.numerics.batching import one_by_one
+from jaxshell.numerics.checks import is_concrete
 from jaxshell.numerics.rotations import H_inverse, exp
 from jaxshell.solvers.iteration import Linear, Memory, Problem
 from jaxshell.solvers.newton import Newton, attach_derivative
@@ -127,6 +128,12 @@ class Method(eqx.Module):
 
         At held degrees of freedom what the supports carry, at free ones what Newton has left.
         """
+
+
+def may_have_first_moment(scene) -> bool:
+    """Whether ∫ρz dz of some element is more than round-off, or not known because JAX traces it."""
+    moment = scene.section.resultants(scene.mesh).first_moment
+    return moment is not None and (not is_concrete(moment) or scene.section.has_first_moment(scene.mesh))
 
 
 class ImplicitMethod(Method):

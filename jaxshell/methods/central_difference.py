@@ -30,7 +30,7 @@ from jaxshell.assembly.discretised import Model, structure_of
 from jaxshell.assembly.tables import Tables, nodal_tables
 from jaxshell.elements import corotational
 from jaxshell.methods import damping
-from jaxshell.methods.base import Method, Observation, StepInfo
+from jaxshell.methods.base import Method, Observation, StepInfo, may_have_first_moment
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import MovingState
 from jaxshell.model.scene import Scene
@@ -43,10 +43,6 @@ from jaxshell.solvers.iteration import SUCCESSFUL, UNSTABLE
 _EXPLOSION = 10.0
 """Unstable: energy this many times what the start and the loads have supplied. Growth is exponential then, so
 the factor decides on a few steps more or less only."""
-
-
-_EVEN = 1e-9
-"""∫ρz dz below this part of the root of ∫ρ dz ∫ρz² dz vanishes."""
 
 
 class Damped(eqx.Module):
@@ -113,15 +109,11 @@ class CentralDifference(Method):
         return float(self.safety * _stable_step(scene, nodal_tables(structure_of(scene))))
 
     def check(self, scene: Scene, steps) -> None:
-        found = scene.section.resultants(scene.mesh)
-        moment = found.first_moment
-        if moment is not None:
-            lever = jnp.sqrt(found.mass_per_area * found.rotary_inertia)
-            if not is_concrete(moment) or bool(jnp.any(jnp.abs(moment) > _EVEN * lever)):
-                raise ValueError(
-                    "CentralDifference has no first moment of mass ∫ρz dz, which this section has, or may have while "
-                    "JAX traces it: use an implicit method, or a laminate that is symmetric=True without offset."
-                )
+        if may_have_first_moment(scene):
+            raise ValueError(
+                "CentralDifference has no first moment of mass ∫ρz dz, which this section has, or may have while JAX "
+                "traces it: use an implicit method, or a laminate that is symmetric=True without offset."
+            )
         if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, steps))):
             return
         critical, largest = self.critical_step(scene), float(np.max(steps))

@@ -18,7 +18,7 @@ from jaxshell.elements import corotational, inertia
 from jaxshell.elements.corotational import Element, Kinematics
 from jaxshell.elements.inertia import Spins, StepFactors
 from jaxshell.methods import damping, predictor, seven_point, traditional
-from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
+from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation, may_have_first_moment
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
 from jaxshell.methods.state import PredictedState
 from jaxshell.numerics.checks import Real, check_choice, check_within
@@ -90,10 +90,10 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         check_choice("inertia", self.inertia, ("seven_point", "traditional", "none"))
 
     def check(self, scene, steps) -> None:
-        if self.inertia != "seven_point" and scene.section.resultants(scene.mesh).first_moment is not None:
+        if self.inertia != "seven_point" and may_have_first_moment(scene):
             raise ValueError(
-                f'inertia="{self.inertia}" has no first moment of mass ∫ρz dz, which a section that is not symmetric '
-                'about the surface of the nodes may have: use inertia="seven_point".'
+                f'inertia="{self.inertia}" has no first moment of mass ∫ρz dz, which this section has, or may have '
+                'while JAX traces it: use inertia="seven_point".'
             )
 
     def factors(self, dt) -> StepFactors:

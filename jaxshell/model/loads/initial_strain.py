@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.model.history import History
@@ -19,8 +18,10 @@ from jaxshell.model.loads.base import Load, given_history
 from jaxshell.model.materials.base import strain_rotation
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sections import AnySection, Layers
-from jaxshell.model.sections.direction import angles, given_direction
-from jaxshell.numerics.checks import check_finite, check_one_or_each, float_array, is_concrete
+from jaxshell.model.sections.direction import angles, check_direction, given_direction
+from jaxshell.numerics.checks import check_finite, check_one_or_each, float_array
+
+_UNKNOWN = "Thermal needs a section that knows its expansion; GeneralSection has thermal= for it."
 
 
 class InitialStrains(Load):
@@ -87,7 +88,7 @@ class InitialStrain(InitialStrains):
                 raise ValueError(
                     f"{name} must be one (3,) or {mesh.n_elements} of them, but it has shape {value.shape}."
                 )
-        angles(self.direction, mesh)
+        check_direction(self.direction, mesh)
 
     def strains(self, section: AnySection | None, mesh: Mesh):
         turn = jax.vmap(strain_rotation)(-angles(self.direction, mesh))
@@ -132,8 +133,10 @@ class Thermal(InitialStrains):
         self._each(mesh)
 
     def check_section(self, section: AnySection, mesh: Mesh) -> None:
-        thermal = _thermal_resultants(section, mesh)
-        if is_concrete(thermal) and not np.any(np.asarray(thermal)):
+        expands = section.expands(mesh)
+        if expands is None:
+            raise ValueError(_UNKNOWN)
+        if not expands:
             raise ValueError("Thermal needs a material with an expansion, but that of all of them is zero.")
 
     def strains(self, section: AnySection, mesh: Mesh):
@@ -164,7 +167,7 @@ class Thermal(InitialStrains):
 def _thermal_resultants(section: AnySection, mesh: Mesh) -> Float[Array, "m 3 3"]:
     found = section.thermal_resultants(mesh)
     if found is None:
-        raise ValueError("Thermal needs a section that knows its expansion; GeneralSection has thermal= for it.")
+        raise ValueError(_UNKNOWN)
     return found
 
 

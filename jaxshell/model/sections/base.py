@@ -18,6 +18,8 @@ from jaxshell.numerics.frozen import Frozen
 BETA_0_MINIMUM = 0.01
 """Least factor of the membrane's higher-order stiffness, so that the element keeps its rank of 6."""
 
+_ROUND_OFF = 1e-9
+
 
 class Resultants(eqx.Module):
     """A unit of the shell's surface, in the element's axes (e1, e2): N = A ε + B κ, M = B ε + D κ.
@@ -114,12 +116,24 @@ class AnySection(eqx.Module):
         heated = jnp.einsum("mpij,mpj->mpi", layers.C, layers.expansion)
         return jnp.stack([layers.integral(heated, power) for power in range(3)], axis=1)
 
+    def expands(self, mesh: Mesh | Patch) -> bool | None:
+        """False where all expansion is known to be zero; None of a section that does not know it."""
+        found = self.thermal_resultants(mesh)
+        return None if found is None else not is_concrete(found) or bool(np.any(np.asarray(found)))
+
     def direction_angles(self, mesh: Mesh | Patch) -> Float[Array, " m"] | None:
         """From e1 to the section's own direction [rad] in every element of `mesh`; None of one without direction."""
         return None
 
     def check(self, mesh: Mesh | Patch) -> None:
         """Raise ValueError where the section does not fit the mesh; called when the scene is made."""
+
+    def has_first_moment(self, mesh: Mesh | Patch) -> bool:
+        """Whether ∫ρz dz of some element is known to be more than round-off: its mass lies beside the nodes."""
+        found = self.resultants(mesh)
+        return found.first_moment is not None and off_centre(
+            found.first_moment, found.mass_per_area, found.rotary_inertia
+        )
 
     def area_masses(self, mesh: Mesh | Patch) -> Float[Array, " m"]:
         """ρh of every element [mass/length²]."""
@@ -145,6 +159,15 @@ def optimal_beta0(C: Float[Array, "3 3"]) -> Float[Array, ""]:
         + 4 * (5 * c11 - 6 * c12 + 5 * c22) * c33**2
     )
     return jnp.maximum(256.0 * jnp.linalg.det(C) / W - 1.5, BETA_0_MINIMUM)
+
+
+def off_centre(first_moment, mass_per_area, rotary_inertia) -> bool:
+    """Whether known first moments are more than round-off."""
+    values = first_moment, mass_per_area, rotary_inertia
+    if not all(map(is_concrete, values)):
+        return False
+    first, mass, second = map(np.asarray, values)
+    return bool(np.any(np.abs(first) > _ROUND_OFF * np.sqrt(mass * second)))
 
 
 def check_bearable(what: str, value: Any) -> None:

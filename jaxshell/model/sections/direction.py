@@ -74,24 +74,29 @@ def vectors_at(direction, mesh) -> Float[Array, "m 3"]:
     return jnp.broadcast_to(direction, (len(x), 3))
 
 
-def angles(direction, mesh) -> Float[Array, " m"]:
-    """Angle [rad] in every element from its axis e1 to the direction projected onto it, counter-clockwise about e3.
+def check_direction(direction, mesh) -> None:
+    """Raise ValueError naming an element to which a known direction is normal; no program is compiled."""
+    if not all(map(is_concrete, (mesh.nodes, *jax.tree.leaves(direction)))):
+        return
+    x = np.asarray(mesh.nodes)[mesh.triangles]
+    normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    vectors = np.asarray(vectors_at(direction, mesh))
+    sizes = np.linalg.norm(vectors, axis=1)
+    inside = np.linalg.norm(np.cross(normals, vectors), axis=1) / np.linalg.norm(normals, axis=1)
+    bad = ~(inside > _NORMAL * sizes)
+    if bad.any():
+        element = int(np.argmax(bad))
+        raise ValueError(
+            f"The direction {vectors[element].tolist()} is normal to element {element} (and to {int(bad.sum()) - 1} "
+            "others), where no angle can be counted from it: choose another there, as a field (m, 3) or a Cylindrical, "
+            "or make regions."
+        )
 
-    Raises ValueError naming an element to which the direction is normal.
-    """
+
+def angles(direction, mesh) -> Float[Array, " m"]:
+    """Angle [rad] in every element from its axis e1 to the direction projected onto it, counter-clockwise about e3."""
     frames, _ = jax.vmap(local_frame)(mesh.nodes[mesh.triangles])
-    vectors = vectors_at(direction, mesh)
-    along = jnp.einsum("mij,mj->mi", frames, vectors)
-    if is_concrete(along):
-        inside = np.hypot(*np.asarray(along[:, :2]).T)
-        bad = ~(inside > _NORMAL * np.linalg.norm(np.asarray(vectors), axis=1))
-        if bad.any():
-            element = int(np.argmax(bad))
-            raise ValueError(
-                f"The direction {np.asarray(vectors[element]).tolist()} is normal to element {element} (and to "
-                f"{int(bad.sum()) - 1} others), where no angle can be counted from it: choose another there, as a "
-                "field (m, 3) or a Cylindrical, or make regions."
-            )
+    along = jnp.einsum("mij,mj->mi", frames, vectors_at(direction, mesh))
     return jnp.arctan2(along[:, 1], along[:, 0])
 
 

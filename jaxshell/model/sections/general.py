@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from jaxshell.model.materials.base import strain_rotation
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sections.base import AnySection, Patch, Resultants, optimal_beta0
-from jaxshell.model.sections.direction import angles, given_direction
+from jaxshell.model.sections.direction import angles, check_direction, given_direction
 from jaxshell.numerics.checks import (
     check_finite,
     check_one_or_each,
@@ -118,7 +118,13 @@ class GeneralSection(AnySection):
 
     def check(self, mesh: Mesh | Patch) -> None:
         self._each(mesh.n_elements)
-        self.direction_angles(mesh)
+        check_direction(self.direction, mesh)
+
+    def has_first_moment(self, mesh: Mesh | Patch) -> bool:
+        return self.first_moment is not None and is_concrete(self.first_moment) and bool(np.any(self.first_moment))
+
+    def expands(self, mesh: Mesh | Patch) -> bool | None:
+        return None if self.thermal is None else not is_concrete(self.thermal) or bool(np.any(self.thermal))
 
     def direction_angles(self, mesh: Mesh | Patch) -> Float[Array, " m"]:
         return angles(self.direction, mesh)

@@ -66,6 +66,12 @@ class Section(AnySection):
         each = self.per_element(mesh.n_elements)
         return jax.vmap(isotropic)(each.thickness, each.young_modulus, each.poisson_ratio, each.density)
 
+    def has_first_moment(self, mesh: Mesh | Patch) -> bool:
+        return False
+
+    def expands(self, mesh: Mesh | Patch) -> bool:
+        return not is_concrete(self.expansion) or bool(np.any(np.asarray(self.expansion)))
+
     def layers(self, mesh: Mesh | Patch) -> Layers:
         each = self.per_element(mesh.n_elements)
         half = 0.5 * each.thickness

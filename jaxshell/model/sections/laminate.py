@@ -6,16 +6,35 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.model.materials import Material
 from jaxshell.model.materials.base import rotated, strain_rotation
 from jaxshell.model.mesh import Mesh
-from jaxshell.model.sections.base import AnySection, Layers, Patch, Resultants, check_bearable, optimal_beta0
-from jaxshell.model.sections.direction import angles, degrees, given_direction
+from jaxshell.model.sections.base import (
+    AnySection,
+    Layers,
+    Patch,
+    Resultants,
+    check_bearable,
+    off_centre,
+    optimal_beta0,
+)
+from jaxshell.model.sections.direction import angles, check_direction, degrees, given_direction
 from jaxshell.model.sections.layup import read_layup
 from jaxshell.model.sections.ply import Ply
-from jaxshell.numerics.checks import check_finite, check_kind, check_shape, check_switch, float_array, shown
+from jaxshell.numerics.checks import (
+    check_finite,
+    check_kind,
+    check_one_or_each,
+    check_positive,
+    check_shape,
+    check_switch,
+    float_array,
+    is_concrete,
+    shown,
+)
 
 
 class Laminate(AnySection):
@@ -73,7 +92,10 @@ class Laminate(AnySection):
         of the lower half are kept, and the others mirror them.
         """
         angles, symmetric = read_layup(layup)
-        return cls([Ply(material, ply_thickness, angle) for angle in angles], direction, offset, symmetric)
+        thickness = float_array(ply_thickness, "ply_thickness")
+        check_one_or_each("ply_thickness", thickness)
+        check_positive("ply_thickness", thickness)
+        return cls([Ply(material, thickness, angle) for angle in angles], direction, offset, symmetric)
 
     @property
     def all_plies(self) -> tuple[Ply, ...]:
@@ -127,19 +149,54 @@ class Laminate(AnySection):
         )
 
     def check(self, mesh: Mesh | Patch) -> None:
-        found = self.resultants(mesh)
-        check_bearable("bending stiffness tr D", jnp.trace(found.D, axis1=1, axis2=2))
-        check_bearable("rotary inertia ∫ρ z² dz", found.rotary_inertia)
+        for ply in range(len(self.plies)):
+            self._check_length(ply, mesh.n_elements)
+        check_direction(self.direction, mesh)
+        if self._is_known:
+            bottom, top, density = self._heights_and_densities()
+            stiffness = np.array([np.trace(np.asarray(ply.material.stiffness())) for ply in self.all_plies])
+            with np.errstate(all="ignore"):
+                cubes = (top**3 - bottom**3) / 3
+                check_bearable("bending stiffness tr D", np.sum(stiffness * cubes, axis=1))
+                check_bearable("rotary inertia ∫ρ z² dz", np.sum(density * cubes, axis=1))
 
-    def _each(self, name: str, n_elements: int) -> Float[Array, "m p"]:
-        """Thicknesses or angles of all plies in every element."""
-        columns = []
-        for position, ply in enumerate(self.all_plies):
-            value = getattr(ply, name)
+    def has_first_moment(self, mesh: Mesh | Patch) -> bool:
+        if not self._is_known:
+            return False
+        bottom, top, density = self._heights_and_densities()
+        moments = [np.sum(density * (top**k - bottom**k) / k, axis=1) for k in (1, 2, 3)]
+        return off_centre(moments[1], moments[0], moments[2])
+
+    def expands(self, mesh: Mesh | Patch) -> bool:
+        expansions = [ply.material.expansions() for ply in self.plies]
+        return any(not is_concrete(strains) or bool(np.any(np.asarray(strains))) for strains in expansions)
+
+    @property
+    def _is_known(self) -> bool:
+        return all(map(is_concrete, jax.tree.leaves((self.plies, self.offset))))
+
+    def _heights_and_densities(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Bottom and top z (1 or m, p) and densities (p,) of all plies, of known values; no program is compiled."""
+        plies = self.all_plies
+        columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(ply.thickness)) for ply in plies))
+        thickness = np.stack(columns, axis=1)
+        middle = 0.0 if self.offset is None else float(self.offset)
+        top = np.cumsum(thickness, axis=1) - 0.5 * np.sum(thickness, axis=1, keepdims=True) + middle
+        return top - thickness, top, np.array([float(ply.material.density) for ply in plies])
+
+    def _check_length(self, position: int, n_elements: int) -> None:
+        for name in ("thickness", "angle"):
+            value = getattr(self.all_plies[position], name)
             if value.shape not in ((), (n_elements,)):
                 raise ValueError(
                     f"ply {position}: {name} must be one value or one per element ({n_elements}), but it has shape "
                     f"{value.shape}."
                 )
-            columns.append(jnp.broadcast_to(value, (n_elements,)))
+
+    def _each(self, name: str, n_elements: int) -> Float[Array, "m p"]:
+        """Thicknesses or angles of all plies in every element."""
+        columns = []
+        for position, ply in enumerate(self.all_plies):
+            self._check_length(position, n_elements)
+            columns.append(jnp.broadcast_to(getattr(ply, name), (n_elements,)))
         return jnp.stack(columns, axis=1)

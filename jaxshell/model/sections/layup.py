@@ -79,9 +79,10 @@ class _Parser:
 
     def bracket(self, outermost: bool = False) -> tuple[list[float], bool]:
         """The angles of a bracket, and whether they are a lower half, which only those of the outermost may be."""
-        plies, middle = self.listed()
+        plies, middle = self.inside()
         repeats = self.count()
-        self.check_number(repeats * len(plies))
+        if repeats * len(plies) > MOST_PLIES:
+            self.fail(f"it has more than {MOST_PLIES} plies")
         plies = plies * repeats
         if self.peek() not in ("s", "S"):
             if middle:
@@ -94,27 +95,28 @@ class _Parser:
             return plies + plies[-2::-1] if len(plies) > 1 else plies, False
         return (plies, True) if outermost else (plies + plies[::-1], False)
 
-    def listed(self) -> tuple[list[float], bool]:
-        """The angles between brackets, and whether the last ply lies in the middle."""
+    def inside(self) -> tuple[list[float], bool]:
+        """The angles between a bracket's two marks, and whether the last ply lies in the middle."""
         self.take("[")
+        self.depth += 1
+        if self.depth > _DEEPEST:
+            self.fail(f"its brackets are nested more than {_DEEPEST} deep")
         plies, middle = [], False
         while True:
             plies += self.bracket()[0] if self.peek() == "[" else self.ply()
-            self.check_number(len(plies))
             if self.peek() == "*":
                 self.take()
                 middle = True
+            if len(plies) > MOST_PLIES:
+                self.fail(f"it has more than {MOST_PLIES} plies")
             if self.peek() not in ("/", ","):
                 break
             if middle:
                 self.fail("only the last ply can lie in the middle")
             self.take()
         self.take("]")
+        self.depth -= 1
         return plies, middle
-
-    def check_number(self, plies: int):
-        if plies > MOST_PLIES:
-            self.fail(f"it has more than {MOST_PLIES} plies")
 
     def ply(self) -> list[float]:
         token = self.take()

@@ -93,6 +93,13 @@ class Regions(AnySection):
         found = [section.direction_angles(patch) for section, patch in self._parts(mesh)]
         return None if any(part is None for part in found) else self._joined(mesh, found)
 
+    def has_first_moment(self, mesh: Mesh | Patch) -> bool:
+        return any(section.has_first_moment(patch) for section, patch in self._parts(mesh))
+
+    def expands(self, mesh: Mesh | Patch) -> bool | None:
+        found = [section.expands(patch) for section, patch in self._parts(mesh)]
+        return None if any(part is None for part in found) else any(found)
+
     def _patches(self, mesh: Mesh | Patch) -> list[Patch]:
         return [Patch(mesh.nodes, Frozen(mesh.triangles[e.array])) for e in self.elements]
 
