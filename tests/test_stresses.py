@@ -1,5 +1,7 @@
 """Section forces, stresses, failure, smoothing and mass properties against closed forms and hand calculations."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import linear
@@ -7,11 +9,16 @@ import numpy as np
 import pytest
 
 import jaxshell as js
+from jaxshell.command.report import describe_run
+from jaxshell.files.scene_file import read_scene_file
 from jaxshell.model import generators
 from jaxshell.numerics.rotations import exp
+from jaxshell.plotting import figures
+from jaxshell.results.stresses import gauge_field, largest_von_mises
 
 CARBON = js.Orthotropic(140.0, 10.0, 0.3, 5.0, 1.6e-9, 1e-6, 3e-5)
 ANGLES, PLY, OFFSET = (0.0, 45.0, 90.0, -30.0), 0.05, 0.02
+STRIP = generators.rectangle(2.0, 1.0, (4, 2))
 STRENGTHS = {"X_t": 1.5, "X_c": 1.2, "Y_t": 0.05, "Y_c": 0.2, "S": 0.07}
 
 
@@ -100,14 +107,11 @@ def test_constant_states_are_exact():
 
 def strip(angles=ANGLES, ply=PLY, history=None, watch=None) -> js.Scene:
     """A short cantilever of four plies, pulled and bent at its tip, in part heated."""
-    mesh = generators.rectangle(2.0, 1.0, (4, 2))
-    tip = mesh.nodes_where(lambda x: x[0] > 2 - 1e-9)
-    root = mesh.nodes_where(lambda x: x[0] < 1e-9)
     loads = [
-        js.NodalForce(tip, [2e-3, 1e-3, 2e-3]),
-        js.Thermal(np.linspace(20.0, 60.0, mesh.n_elements), 10.0, history),
+        js.NodalForce([12, 13, 14], [2e-3, 1e-3, 2e-3]),
+        js.Thermal(np.linspace(20.0, 60.0, STRIP.n_elements), 10.0, history),
     ]
-    return js.Scene(mesh, carbon(angles, ply=ply), [js.clamped(root)], loads, watch=watch)
+    return js.Scene(STRIP, carbon(angles, ply=ply), [js.clamped([0, 1, 2])], loads, watch=watch)
 
 
 WATCH = {
@@ -176,7 +180,7 @@ def test_plies_bear_the_section_forces(bent):
 
 
 def test_failure_by_hand(bent):
-    stress, strain = (np.asarray(js.stresses(bent, at=(2, "top"), axes="ply")), None)
+    stress = np.asarray(js.stresses(bent, at=(2, "top"), axes="ply"))
     s1, s2, t = np.moveaxis(stress, -1, 0)
     X = np.where(s1 >= 0, 1.5, 1.2)
     Y = np.where(s2 >= 0, 0.05, 0.2)
@@ -201,7 +205,8 @@ def test_failure_by_hand(bent):
         close(found[:, 2, 1], values, 1e-10)
     close(js.failure_index(bent, criterion, {**STRENGTHS, "yield": 0.3}), np.max(found, axis=(1, 2, 3)), 1e-15)
     each = [js.Strengths(yield_stress=0.3 * (k + 1)) for k in range(4)]
-    close(js.failure_index(bent, "von-mises", each, reduce="all")[:, 3], 0.0, np.inf)
+    one = js.failure_index(bent, "von-mises", each[0], reduce="all")
+    close(js.failure_index(bent, "von-mises", each, reduce="all"), one / np.arange(1.0, 5.0)[:, None, None], 1e-14)
 
 
 def test_gradients_of_a_failure_limit():
@@ -230,7 +235,7 @@ def test_gradients_of_a_failure_limit():
 def test_free_expansion_is_free_of_stress():
     """A cap of any shape, heated and held like a statically determinate body."""
     mesh = generators.spherical_cap(1.0, 50.0, (2,))
-    held = [js.Support([0], ["ux", "uy", "uz"]), js.Support([4], ["uy", "uz"]), js.Support([20], "uz")]
+    held = [js.Support([0], ["ux", "uy", "uz"]), js.Support([4], ["ux", "uz"]), js.Support([20], "uz")]
     E, expansion, heat = 200.0, 1.2e-5, 100.0
     scene = js.Scene(mesh, js.Section(0.02, E, 0.3, 1e-9, expansion), held, [js.Thermal(heat)])
     run = js.solve_static(scene, [1.0])
@@ -251,18 +256,17 @@ def test_cylinder_and_sphere_under_pressure():
     tube = generators.cylinder(R, 1.0, (2, 12), angle=90.0)
     ends = tube.nodes_where(lambda x: (x[0] < 1e-9) | (x[0] > 1 - 1e-9))
     sides = [js.symmetry(tube.nodes_where(lambda x, a=a: abs(x[a]) < 1e-9), "xyz"[a]) for a in (1, 2)]
-    run = js.solve_static(js.Scene(tube, section, [js.symmetry(ends, "x"), *sides], [js.Pressure(-p)]), [1.0])
-    sign = np.sign(float(run.displacements[-1, :, 1].max() + run.displacements[-1, :, 1].min()))
+    run = js.solve_static(js.Scene(tube, section, [js.symmetry(ends, "x"), *sides], [js.Pressure(p)]), [1.0])
     axial, hoop, _ = np.moveaxis(np.asarray(js.stresses(run, at="middle", axes=[1.0, 0, 0], mean=True)), -1, 0)
-    close(sign * hoop, p * R / h, 0.01)
-    close(sign * axial, nu * p * R / h, 0.01)
+    close(hoop, p * R / h, 0.01)
+    close(axial, nu * p * R / h, 0.01)
 
     ball = generators.spherical_cap(R, 90.0, (5,))
     rim = ball.nodes_where(lambda x: abs(x[2]) < 1e-9)
     apex, side = ball.nearest_node([0, 0, R]), ball.nearest_node([R, 0, 0])
     held = [js.symmetry(rim, "z"), js.Support([apex], ["ux", "uy"]), js.Support([side], "uy")]
-    run = js.solve_static(js.Scene(ball, section, held, [js.Pressure(-p)]), [1.0])
-    values = sign * np.asarray(js.principal(js.stresses(run, at="middle", mean=True)).values)
+    run = js.solve_static(js.Scene(ball, section, held, [js.Pressure(p)]), [1.0])
+    values = np.asarray(js.principal(js.stresses(run, at="middle", mean=True)).values)
     x = np.asarray(ball.nodes)[ball.triangles]
     areas = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1)
     close(areas @ values / areas.sum(), p * R / (2 * h), 0.01)

@@ -5,6 +5,8 @@ strains of the scene, each with its history h, take away. For section forces P a
 a height z of a ply P = [C, z C] and q = C e⁰(z), with the strain e⁰(z) at which the ply's material is free of stress.
 """
 
+from typing import Any, NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -53,7 +55,7 @@ def force_probe(scene: Scene, matrix: Float[Array, "m 6 6"]) -> Probe:
     return Probe(matrix, tuple(jnp.einsum("mij,mj->mi", matrix, strain) for strain in free))
 
 
-def stress_probe(scene: Scene, at: At, ply_axes: bool = False) -> Probe:
+def stress_probe(scene: Scene, at: "At | Spot", ply_axes: bool = False) -> Probe:
     """(σxx, σyy, τxy) at a place in the thickness, in the elements' axes or in those of the ply."""
     layers = scene.section.layers(scene.mesh)
     if layers is None:
@@ -70,22 +72,37 @@ def stress_probe(scene: Scene, at: At, ply_axes: bool = False) -> Probe:
     return probe.turned(layers.angle[every, number]) if ply_axes else probe
 
 
-def place(layers: Layers, at: At) -> tuple[Int[Array, " m"], Float[Array, " m"]]:
+class Spot(NamedTuple):
+    """A place in the thickness as numbers, so that one program reads all of them."""
+
+    ply: Any
+    """-1 is the uppermost."""
+    height: Any
+    """0 at the ply's bottom, 1 at its top."""
+
+
+def spot_of(at: At) -> "Spot | str":
+    """A place by its words; "middle", that of the thickness, stays as it is."""
+    if isinstance(at, str):
+        return {"top": Spot(-1, 1.0), "bottom": Spot(0, 0.0)}.get(at, "middle")
+    ply, face = at if isinstance(at, tuple) else (at, "middle")
+    return Spot(int(ply), {"bottom": 0.0, "middle": 0.5, "top": 1.0}[face])
+
+
+def place(layers: Layers, at: At | Spot) -> tuple[Int[Array, " m"], Float[Array, " m"]]:
     """Number of the ply and height of a place. The middle of the thickness, where it lies between two plies, is the
     upper one's."""
     m, plies = layers.angle.shape
-    if at == "middle":
+    if isinstance(at, str) and at == "middle":
         low, high = layers.z[:, 0, 0], layers.z[:, -1, 1]
         z = 0.5 * (low + high)
         below = layers.z[:, :, 1] <= (z + 1e-9 * (high - low))[:, None]
         return jnp.minimum(jnp.sum(below, axis=1), plies - 1), z
-    if isinstance(at, str):
-        number, face = (plies - 1, "top") if at == "top" else (0, "bottom")
-    else:
-        number, face = at if isinstance(at, tuple) else (at, "middle")
+    spot = at if isinstance(at, Spot) else spot_of(at)
+    assert isinstance(spot, Spot)
+    number = jnp.where(spot.ply < 0, spot.ply + plies, spot.ply)
     bottom, top = layers.z[:, number, 0], layers.z[:, number, 1]
-    z = {"bottom": bottom, "top": top, "middle": 0.5 * (bottom + top)}[face]
-    return jnp.full(m, number), z
+    return jnp.broadcast_to(number, (m,)), (1.0 - spot.height) * bottom + spot.height * top
 
 
 def probe_of(scene: Scene, elements: Element, gauge: Gauge) -> Probe:

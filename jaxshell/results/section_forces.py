@@ -166,8 +166,14 @@ def over_frames(function, scene: Scene, shape: Shape, *arguments):
 
 
 def elements_of(scene: Scene) -> Element:
-    """The scene's elements without what else a model has."""
-    return jax.vmap(Element.build)(scene.mesh.nodes[scene.mesh.triangles], scene.section.resultants(scene.mesh))
+    """The scene's elements for their strains: without stiffness, which takes as long to compile as all else here."""
+
+    def one(x, section):
+        frame, coordinates = local_frame(x)
+        area, none = 0.5 * coordinates[0] * coordinates[2], jnp.zeros((6, 6))
+        return Element(coordinates, frame, none, none, area, section)
+
+    return jax.vmap(one)(scene.mesh.nodes[scene.mesh.triangles], scene.section.resultants(scene.mesh))
 
 
 def strains_at_points(scene: Scene, elements: Element, shape: Shape) -> Float[Array, "m 3 6"]:
@@ -201,22 +207,27 @@ def in_space(scene: Scene, shape: Shape, tensors: Float[Array, "m *p 3"]) -> Flo
 def _forces(scene, shape, axes, at) -> SectionForces:
     check_choice("at", at, ("points", "mean"))
     angle = turning(scene, axes)
-    return over_frames(_section_forces, scene, shape, angle, at == "mean", isinstance(axes, str) and axes == "global")
+    whole = isinstance(axes, str) and axes == "global"
+    return _averaged(over_frames(_section_forces, scene, shape, angle, whole), shape, at)
 
 
 def _strains(scene, shape, axes, at, elastic) -> SectionStrains:
     check_choice("at", at, ("points", "mean"))
     angle = turning(scene, axes)
     whole = isinstance(axes, str) and axes == "global"
-    return over_frames(_section_strains, scene, shape, angle, at == "mean", whole, elastic)
+    return _averaged(over_frames(_section_strains, scene, shape, angle, whole, elastic), shape, at)
+
+
+def _averaged(found, shape: Shape, at: str):
+    """Values at three points, or their mean."""
+    return found if at == "points" else jax.tree.map(lambda a: jnp.mean(a, axis=shape.displacements.ndim - 1), found)
 
 
 @compiled
-def _section_forces(scene: Scene, shape: Shape, angle, mean: bool, whole: bool) -> SectionForces:
+def _section_forces(scene: Scene, shape: Shape, angle, whole: bool) -> SectionForces:
     elements = elements_of(scene)
     strains = strains_at_points(scene, elements, shape)
     both = force_probe(scene, elements.section.matrix)(strains, shape.factors)
-    both = jnp.mean(both, axis=1) if mean else both
     N, M = both[..., :3], both[..., 3:]
     if whole:
         return SectionForces(in_space(scene, shape, N), in_space(scene, shape, M))
@@ -227,13 +238,12 @@ def _section_forces(scene: Scene, shape: Shape, angle, mean: bool, whole: bool) 
 
 
 @compiled
-def _section_strains(scene: Scene, shape: Shape, angle, mean: bool, whole: bool, elastic: bool) -> SectionStrains:
+def _section_strains(scene: Scene, shape: Shape, angle, whole: bool, elastic: bool) -> SectionStrains:
     strains = strains_at_points(scene, elements_of(scene), shape)
     if elastic:
         for factor, load in zip(shape.factors, scene.initial_strains, strict=True):
             free = jnp.concatenate(load.strains(scene.section, scene.mesh), axis=1)
             strains = strains - factor * free[:, None]
-    strains = jnp.mean(strains, axis=1) if mean else strains
     strain, curvature = strains[..., :3], strains[..., 3:]
     if whole:
         halved = jnp.array([1.0, 1.0, 0.5])
@@ -246,7 +256,7 @@ def _section_strains(scene: Scene, shape: Shape, angle, mean: bool, whole: bool,
 
 @compiled
 def _energies(scene: Scene, shape: Shape) -> Float[Array, " m"]:
-    elements = elements_of(scene)
+    elements = jax.vmap(Element.build)(scene.mesh.nodes[scene.mesh.triangles], scene.section.resultants(scene.mesh))
     if scene.initial_strains:
         rest = jnp.zeros((len(elements.area), 12))
         for factor, load in zip(shape.factors, scene.initial_strains, strict=True):

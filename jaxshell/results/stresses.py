@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxshell.assembly.gauges import picked, probe_of, stress_probe
+from jaxshell.assembly.gauges import Spot, picked, probe_of, spot_of, stress_probe
 from jaxshell.model.gauge import At, Gauge, check_at, check_gauge, gauge_of
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.scene import Scene
@@ -129,18 +129,20 @@ def _stresses_at(scene: Scene, shape: Shape, at: At, axes, mean: bool, elements)
     check_at("stresses", at, scene.section, scene.mesh, chosen)
     named = axes if isinstance(axes, str) else ""
     angle = None if named == "ply" else turning(scene, axes)
-    found = over_frames(_stresses, scene, shape, at, angle, mean, named)
+    spot = spot_of(at)
+    if isinstance(spot, Spot):
+        spot = Spot(*map(jnp.asarray, spot))
+    found = over_frames(_stresses, scene, shape, spot, angle, named)
+    found = jnp.mean(found, axis=shape.displacements.ndim - 1) if mean else found
     return found if chosen is None else jnp.take(found, chosen, axis=shape.displacements.ndim - 2)
 
 
 @compiled
-def _stresses(scene: Scene, shape: Shape, at: At, angle, mean: bool, named: str):
+def _stresses(scene: Scene, shape: Shape, at, angle, named: str) -> Float[Array, "m 3 *c"]:
     strains = strains_at_points(scene, elements_of(scene), shape)
-    strains = jnp.mean(strains, axis=1, keepdims=True) if mean else strains
     probe = stress_probe(scene, at, ply_axes=named == "ply")
     probe = probe if angle is None else probe.turned(angle)
     found = probe(strains, shape.factors)
-    found = found[:, 0] if mean else found
     return in_space(scene, shape, found) if named == "global" else found
 
 
