@@ -21,6 +21,7 @@ Nodes are chosen by `nodes = [...]`, `nearest = [x, y, z]`, `plane = { x = 0.0 }
 `{ ramp = t }`; without one the load acts, whole, from the start.
 """
 
+import dataclasses
 import inspect
 import tomllib
 from pathlib import Path

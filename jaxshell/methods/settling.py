@@ -48,7 +48,7 @@ class Settling(Static):
         return _moving(super().finish(model, state, dt, u, motion, begun), u[:, :3] / dt, u[:, 3:] / dt)
 
     def observe(self, model: Model, state: SettlingState) -> Observation:
-        strain = model.strain_energy(model.x0 + state.d, state.R)
+        strain = model.strain_energy(model.x0 + state.d, state.R, state.time)
         rates = model.gather(state.velocities).reshape(-1, 18)
         momenta = jnp.einsum("mij,mj->mi", masses(model), rates)
         zero, linear = jnp.zeros(()), model.assemble_vector(momenta)

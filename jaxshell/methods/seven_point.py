@@ -174,6 +174,7 @@ def kinetic_and_momenta(model: Model, x: Float[Array, "n 3"], v: Float[Array, "n
 
 def _with_first_moment(elements: Element, x, v, spins: Spins, kinetic, linear, angular):
     """Kinetic energy and momenta with what ∫ρz dz adds: v·ṫ, ṫ, and x × ṫ + t × v."""
+    assert elements.first_moment is not None
     points = jnp.asarray(GAUSS_POINTS)
     weight = (elements.area * elements.first_moment)[:, None, None] * jnp.asarray(GAUSS_WEIGHTS)[None, :, None]
     axis = elements.frame[:, None, 2]
