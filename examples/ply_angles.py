@@ -56,13 +56,13 @@ def values(angles):
 
 start = np.array([20.0, 60.0])
 best = minimize(
-    lambda a: -values(a)[0][0],
+    lambda a: -10 * values(a)[0][0],
     start,
-    jac=lambda a: -values(a)[1][0],
+    jac=lambda a: -10 * values(a)[1][0],
     method="SLSQP",
     bounds=[(0.0, 90.0)] * 2,
     constraints={"type": "ineq", "fun": lambda a: limit - values(a)[0][1], "jac": lambda a: -values(a)[1][1]},
-    options={"maxiter": 20, "ftol": 1e-5},
+    options={"maxiter": 25, "ftol": 1e-7},
 )
 (first, _), (last, index) = values(start)[0], values(best.x)[0]
 print(f"{100 * first:.2f} N -> {100 * last:.2f} N, index {index:.4f}, angles {np.round(best.x, 2)}")
