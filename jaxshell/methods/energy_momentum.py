@@ -258,7 +258,7 @@ def _evaluate(motion: Motion, u, data: ElementData, step: Shared) -> energy_mome
     return energy_momentum.evaluate(data.start, motion.x, motion.R, u, data.element, dissipation, data.excess)
 
 
-def _dissipation(data: ElementData, step: Shared) -> Real:
+def _dissipation(data: ElementData, step: Shared) -> Any:
     """ξ + β/Δt of an element: a viscous material's stresses K̂ β Δe/Δt are those of that dissipation."""
     if data.damping is None or data.damping.beta is None:
         return step.dissipation
