@@ -1,7 +1,7 @@
 """Ply angles of a snapping laminate: the highest load before it snaps, without failure on the way.
 
-A shallow carbon arch, [θ1/-θ1/θ2/-θ2]s, is pressed down at its crown until it has snapped through. With F_k the force at
-the k-th position of the crown and I the Tsai-Wu indices of all plies, elements and positions,
+A shallow carbon arch, [θ1/-θ1/θ2/-θ2]s, is pressed down at its crown until it has snapped through. With F_k the force
+at the k-th position of the crown and I the Tsai-Wu indices of all plies, elements and positions,
 
     maximise over θ1, θ2   KS(F)    subject to    KS(I) ≤ 0.7,
 
