@@ -36,7 +36,7 @@ def hoop_stress(sector, loads) -> np.ndarray:
 
 def test_edge_moment(sector):
     """Load case 1: 1 kN·m/m on the free edge, 6M/h² = 60 MPa everywhere."""
-    mesh, _, last = sector
+    *_, last = sector
     share = LENGTH / COLUMNS * np.where((last == last.min()) | (last == last.max()), 0.5, 1.0)
     moment = js.NodalMoment(last, np.outer(share, [0.0, 0.0, 1000.0]))
     np.testing.assert_allclose(hoop_stress(sector, [moment]), 60e6, rtol=1e-6)  # a constant state: exact
@@ -47,7 +47,7 @@ def test_pressure_and_edge_force(sector):
 
     Flat elements carry it by membrane forces that jump from facet to facet, by 3 % in the corners of this mesh.
     """
-    mesh, _, last = sector
+    *_, last = sector
     edges = np.stack([last[:-1], last[1:]], axis=1)
     pulled = 0.6e6 * RADIUS * np.array([-np.sin(np.pi / 6), np.cos(np.pi / 6), 0.0])
     loads = [js.Pressure(0.6e6), js.EdgeForce(edges, pulled)]
