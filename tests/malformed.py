@@ -284,15 +284,8 @@ TRIANGLES = [[0, 1, 2], [0, 2, 3]]
 MESH = js.Mesh(NODES, TRIANGLES)
 RAMP = js.History.ramp(1.0)
 PLAIN = js.Section(**SECTION)
-ORTHOTROPIC = {
-    "young_modulus_1": 1e6,
-    "young_modulus_2": 1e5,
-    "poisson_ratio_12": 0.3,
-    "shear_modulus_12": 5e4,
-    "density": 1.0,
-    "expansion_1": 1e-6,
-    "expansion_2": 1e-5,
-}
+ORTHOTROPIC = dict(zip(("young_modulus_1", "young_modulus_2", "poisson_ratio_12", "shear_modulus_12", "density"),
+                       (1e6, 1e5, 0.3, 5e4, 1.0), strict=True))  # fmt: skip
 PLY = js.Ply(js.Orthotropic(**ORTHOTROPIC), 0.1)
 EYE = np.eye(3).tolist()
 SUPPORTED = js.Scene(MESH, PLAIN, [js.clamped([0, 3])], [js.NodalForce([1], [0.0, 0.0, 1.0])])
