@@ -129,7 +129,8 @@ def _index(scene: Scene, shape: Shape, criterion: str, strengths, reduce: str):
     check_at("failure_index", "top", scene.section, scene.mesh)
     plies = eqx.filter_eval_shape(scene.section.layers, scene.mesh).angle.shape[1]
     each = tuple(_given_strengths(criterion, strengths, plies))
-    return over_frames(_failure_index, scene, shape, each, criterion, reduce == "max")
+    stress, strain = over_frames(_in_plies, scene, shape)
+    return _judged(strain if criterion == "max-strain" else stress, each, criterion, reduce == "max")
 
 
 def _given_strengths(criterion: str, strengths, plies: int) -> list[Strengths]:
@@ -159,13 +160,13 @@ def _given_strengths(criterion: str, strengths, plies: int) -> list[Strengths]:
 
 
 @compiled
-def _failure_index(scene: Scene, shape: Shape, strengths: tuple, criterion: str, largest: bool):
-    stress, strain = _in_plies(scene, shape)
+def _judged(values: Float[Array, "*f m p 2 3 3"], strengths: tuple, criterion: str, largest: bool):
     given = jax.tree.map(lambda *each: jnp.stack(each)[:, None, None], *strengths)
-    found = _CRITERIA[criterion](strain if criterion == "max-strain" else stress, given)
-    return jnp.max(found, axis=(1, 2, 3)) if largest else found
+    found = _CRITERIA[criterion](values, given)
+    return jnp.max(found, axis=(-3, -2, -1)) if largest else found
 
 
+@compiled
 def _in_plies(scene: Scene, shape: Shape) -> tuple[Float[Array, "m p 2 3 3"], Float[Array, "m p 2 3 3"]]:
     """Stresses and the strains that make them in the plies' axes: element, ply, bottom and top, point, component."""
     layers = scene.section.layers(scene.mesh)
