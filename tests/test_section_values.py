@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import linear
 import numpy as np
 import pytest
 
@@ -10,6 +11,7 @@ from jaxshell.analyses.driver import set_up
 from jaxshell.model import generators
 from jaxshell.model.materials.base import stress_rotation
 from jaxshell.model.sections.direction import angles
+from jaxshell.numerics.rotations import exp
 
 
 def close(found, wanted, tolerance):
@@ -87,3 +89,45 @@ def test_mass_of_a_tube_and_its_spin():
         js.Scene(generators.rectangle(2.0, 1.0, (2, 2)), js.Laminate([js.Ply(steel, 0.05, 0.0)] * 3, offset=0.3))
     )
     close(high.centre, np.array([1.0, 0.5, 0.3]), 1e-12)
+
+
+# --- convergence ---------------------------------------------------------------------------------------------
+
+
+def plate_errors(n):
+    """L2 errors of moments in a simply supported square plate under sin sin: at mid-edges, middles, nodal."""
+    E, nu, h = 1e4, 0.3, 0.01
+    mesh, section = generators.rectangle(1.0, 1.0, (n, n)), js.Section(h, E, nu, 1.0)
+    x, triangles = np.asarray(mesh.nodes), mesh.triangles
+    D, q = E * h**3 / 12 / (1 - nu**2), np.sin(np.pi * x[:, 0]) * np.sin(np.pi * x[:, 1])
+    size = 1e-8 * 4 * np.pi**4 * D
+    loads = np.zeros((len(x), 6))
+    for corner in range(3):
+        np.add.at(loads[:, 2], triangles[:, corner], size / n**2 / 24 * (q[triangles].sum(1) + q[triangles[:, corner]]))
+    edge = np.unique(mesh.boundary_edges())
+    held = np.union1d((6 * edge[:, None] + np.arange(3)).ravel(), 6 * np.arange(len(x))[:, None] + [0, 1, 5])
+    u = linear.displacements(mesh, section, held, loads)
+    motion = js.Scene(mesh, section), u[:, :3], jax.vmap(exp)(jnp.asarray(u[:, 3:]))
+
+    def exact(at):
+        s, c = np.sin(np.pi * at[..., :2]).prod(-1), np.cos(np.pi * at[..., :2]).prod(-1)
+        return 1e-8 * np.pi**2 * D * np.stack([(1 + nu) * s, (1 + nu) * s, -(1 - nu) * c], -1)
+
+    def error(found, at):
+        return np.linalg.norm(np.asarray(found) - exact(at)) / np.linalg.norm(exact(at))
+
+    corners = x[triangles]
+    M = js.section_forces_of(*motion, axes=[1.0, 0, 0]).M
+    smooth = js.nodal(mesh, M)
+    return (
+        error(M, 0.5 * (corners + corners[:, [1, 2, 0]])),
+        error(np.mean(M, axis=1), corners.mean(1)),
+        error(smooth, corners),
+    )
+
+
+def test_moments_converge_and_nodal_ones_better():
+    coarse, fine = np.array(plate_errors(8)), np.array(plate_errors(16))
+    orders = np.log2(coarse / fine)
+    assert orders == pytest.approx([1.13, 1.37, 1.51], abs=0.1)
+    assert fine[2] < 0.4 * fine[0]
