@@ -257,7 +257,10 @@ def test_viscous_material_shortens_the_explicit_step():
         run(strip(2.0, beta), method, 0.9 * free, 50)
 
 
-GRADIENTS = [js.EnergyMomentum(), *(pytest.param(METHODS[n], marks=pytest.mark.slow) for n in list(METHODS)[1:])]
+GRADIENTS = [
+    pytest.param(method, marks=pytest.mark.slow if k < 2 else pytest.mark.evidence)
+    for k, method in enumerate(METHODS.values())
+]
 
 
 @pytest.mark.parametrize("method", GRADIENTS)

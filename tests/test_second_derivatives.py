@@ -83,6 +83,7 @@ def test_statics_with_a_moving_support():
     check(lambda p: bent(p, moving=True), step=5e-4)
 
 
+@pytest.mark.slow
 def test_frequencies():
     check(frequency)
 
@@ -93,9 +94,8 @@ def test_buckling():
 
 
 METHODS = [
-    js.CentralDifference(),
     *(pytest.param(m, marks=pytest.mark.slow) for m in (js.GeneralizedEnergyMomentum(), js.EnergyMomentum())),
-    *(pytest.param(m, marks=pytest.mark.evidence) for m in (js.Newmark(), js.Bathe())),
+    *(pytest.param(m, marks=pytest.mark.evidence) for m in (js.Newmark(), js.Bathe(), js.CentralDifference())),
 ]
 
 

@@ -247,6 +247,7 @@ def test_free_expansion_is_free_of_stress():
 # --- spheres and cylinders under pressure --------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_cylinder_and_sphere_under_pressure():
     """pR/t around a cylinder whose ends are held along its axis, ν pR/t along it; pR/2t in a sphere."""
     R, h, p, nu = 2.0, 0.02, 1e-4, 0.3

@@ -59,7 +59,7 @@ def membrane_strains(xy: Float[Array, "3 2"], beta0: Float[Array, ""]) -> Float[
     """
     area, L, T_theta_u, T_e, Q = _parts(xy)
     higher = jnp.stack([T_e @ at_point @ T_theta_u for at_point in Q])
-    return L.T / area + 1.5 * jnp.sqrt(beta0) * higher
+    return (L.T / area)[None] + 1.5 * jnp.sqrt(beta0) * higher
 
 
 def _parts(xy: Float[Array, "3 2"]) -> _Parts:

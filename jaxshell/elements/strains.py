@@ -18,7 +18,7 @@ def section_strains(
     Corners are seen from node 1, as edges and differences of the displacements d: positions x0 + d would round d off
     (`jaxshell.methods.static`). With the strains of initial strains, or without where `element.rest` states them.
     """
-    x = (x0 - x0[0]) + (d - d[0])
+    x = (x0 - x0[:1]) + (d - d[:1])
     e = corotational.kinematics(x, R, element).deformations
     membrane, bending = strain_matrices(element.coordinates, element.section.beta0)
     return jnp.concatenate([membrane @ e[:6], bending @ e[6:]], axis=1)

@@ -19,7 +19,7 @@ from jaxshell.elements.corotational import Element
 from jaxshell.elements.strains import section_strains as strains_of_element
 from jaxshell.model.materials.base import strain_rotation, stress_rotation
 from jaxshell.model.scene import Scene
-from jaxshell.model.sections.direction import angles, given_direction
+from jaxshell.model.sections.direction import angles, check_direction, given_direction
 from jaxshell.numerics.checks import check_choice, check_kind, check_shape, shown
 from jaxshell.numerics.compiled import compiled
 from jaxshell.numerics.triangles import local_frame
@@ -192,7 +192,9 @@ def turning(scene: Scene, axes) -> Float[Array, " m"] | None:
         if found is None:
             raise ValueError('axes="material" needs a section with a direction; a vector states axes without one.')
         return found
-    return angles(given_direction(axes), scene.mesh)
+    direction = given_direction(axes)
+    check_direction(direction, scene.mesh)
+    return angles(direction, scene.mesh)
 
 
 def in_space(scene: Scene, shape: Shape, tensors: Float[Array, "m *p 3"]) -> Float[Array, "m *p 3 3"]:
@@ -265,7 +267,7 @@ def _energies(scene: Scene, shape: Shape) -> Float[Array, " m"]:
         elements = eqx.tree_at(lambda e: e.rest, elements, rest, is_leaf=lambda leaf: leaf is None)
 
     def one(x0, d, R, element):
-        e = corotational.kinematics((x0 - x0[0]) + (d - d[0]), R, element).deformations
+        e = corotational.kinematics((x0 - x0[:1]) + (d - d[:1]), R, element).deformations
         return corotational.strain_energy(e, element)
 
     x0, d, R = _corners(scene, shape)

@@ -80,7 +80,7 @@ class Section(AnySection):
             z=jnp.stack([-half, half], axis=1)[:, None],
             C=C[:, None],
             angle=jnp.zeros((mesh.n_elements, 1)),
-            expansion=(each.expansion[:, None] * jnp.array([1.0, 1.0, 0.0]))[:, None],
+            expansion=(each.expansion[:, None] * jnp.array([[1.0, 1.0, 0.0]]))[:, None],
             density=each.density[:, None],
         )
 
