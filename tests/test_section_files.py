@@ -158,7 +158,7 @@ def test_example_runs(tmp_path, monkeypatch):
     main(["run", str(EXAMPLE)])
     found = js.Solution.load(tmp_path / "laminate.h5")
     _, curvature = js.Thermal(-120.0).strains(found.scene.section.sections[1], found.scene.mesh)
-    radius = -1 / float(curvature[-1, 0])
+    radius = -1 / float(curvature[-2, 0])  # of an element whose e1 is x
     bent = np.asarray(found.watched["tip"])[np.asarray(found.times) < 0.3]
-    assert 0.6 < bent.max() / (radius * (1 - np.cos(0.15 / radius))) < 1.2
+    assert 0.85 < bent.max() / (radius * (1 - np.cos(0.15 / radius))) < 1.1
     assert found.watched["tip"][-1] < 0 and (tmp_path / "laminate_shapes.png").exists()
