@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import sensitivity
+from layups import CARBON
 
 import jaxshell as js
 from jaxshell.assembly.discretised import Model, structure_of
@@ -20,7 +21,6 @@ from jaxshell.methods import newmark, static
 from jaxshell.model.generators import rectangle
 from jaxshell.numerics.rotations import exp
 
-CARBON = js.Orthotropic(140e9, 10e9, 0.3, 5e9, 1600.0, -0.3e-6, 28e-6)
 HEAVY = js.Orthotropic(40e9, 8e9, 0.25, 4e9, 2900.0, 7e-6, 21e-6)
 TIGHT = js.Newton(tolerance=1e-13)
 
