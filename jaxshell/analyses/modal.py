@@ -174,9 +174,7 @@ def _vibration_matrices(scene: Scene, tables: Tables, state, time):
     K = jax.vmap(corotational.tangent_stiffness)(x, R, model.elements_at((1.0, time)))
     following = model.following_stiffness(*placed, time)
     M = jax.vmap(mass_matrix)(R, model.elements)
-    elements = model.elements
-    shift = model.bending_scale / (jnp.mean(elements.mass_per_area) * model.size**4)
-    return model.assemble_matrix(K, following), model.assemble_matrix(M), model.units, shift
+    return model.assemble_matrix(K, following), model.assemble_matrix(M), model.units, model.frequency_scale
 
 
 @compiled

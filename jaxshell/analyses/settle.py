@@ -222,7 +222,7 @@ def _pushed(model: Model, plan: Plan, state: SettlingState):
 @compiled
 def _time_scale(model: Model) -> Float[Array, ""]:
     """√(m L⁴/D): the inverse of the lowest bending frequency of a shell of that size without curvature, about."""
-    return jnp.sqrt(jnp.mean(model.elements.mass_per_area) / model.bending_scale) * model.size**2
+    return 1.0 / jnp.sqrt(model.frequency_scale)
 
 
 def _last_sample(scene: Scene) -> float:

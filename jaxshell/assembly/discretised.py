@@ -83,7 +83,9 @@ class Model(eqx.Module):
         moving = tuple(support for support in scene.supports if support.displacement is not None)
         size = jnp.linalg.norm(jnp.max(x0, axis=0) - jnp.min(x0, axis=0))
         damping = None if scene.damping is None else scene.damping.per_element(scene.mesh.n_elements)
-        acting, rests = _acting(scene, tables, surface), _rests(scene, elements)
+        acting = _acting(scene, tables, surface)
+        histories = (load.history for load in scene.initial_strains)
+        rests = tuple(zip(rest_deformations(scene, elements), histories, strict=True))
         return cls(x0, elements, dead, acting, rests, moving, size, tables, damping, watching(scene, elements))
 
     def elements_at(self, *weighted: tuple[Any, Any]) -> Element:
@@ -94,7 +96,7 @@ class Model(eqx.Module):
         if not self.rests:
             return self.elements
         rest = sum((weight * self.rest(time) for weight, time in weighted), jnp.zeros(()))
-        return eqx.tree_at(lambda e: e.rest, self.elements, rest, is_leaf=lambda leaf: leaf is None)
+        return self.elements.resting_at(rest)
 
     def rest(self, time) -> Float[Array, "m 12"]:
         """The deformations at which the elements are free of stress, of a scene that has initial strains."""
@@ -115,6 +117,11 @@ class Model(eqx.Module):
         root = jnp.ldexp(1.0, -jnp.frexp(stiffness)[1] // 2)
         length = jnp.ldexp(1.0, jnp.frexp(size)[1])
         return root * jnp.where(self.tables.free % 6 < 3, length, 1.0)
+
+    @property
+    def frequency_scale(self) -> Float[Array, ""]:
+        """D/(m L⁴): a scale of ω² below the bending frequencies of a shell of that size, without curvature."""
+        return self.bending_scale / (jnp.mean(self.elements.mass_per_area) * self.size**4)
 
     @property
     def bending_scale(self) -> Float[Array, ""]:
@@ -226,12 +233,10 @@ class Model(eqx.Module):
         )
 
 
-def _rests(scene: Scene, elements: Element) -> tuple[tuple[Float[Array, "m 12"], History], ...]:
-    found = []
-    for load in scene.initial_strains:
-        strain, curvature = load.strains(scene.section, scene.mesh)
-        found.append((jax.vmap(corotational.constant_strains)(elements.coordinates, strain, curvature), load.history))
-    return tuple(found)
+def rest_deformations(scene: Scene, elements: Element) -> tuple[Float[Array, "m 12"], ...]:
+    """Deformations at which the elements are free of stress, for every initial strain of the scene, for factor 1."""
+    free = (load.strains(scene.section, scene.mesh) for load in scene.initial_strains)
+    return tuple(jax.vmap(corotational.constant_strains)(elements.coordinates, *strains) for strains in free)
 
 
 def structure_of(scene: Scene) -> Structure:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxshell.model.gauge import ply_counts
 from jaxshell.model.mechanisms import connected_parts
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.plane_stress import principal
@@ -54,7 +55,7 @@ def _strained(run: Solution) -> list[str]:
     if not len(run.frame_times):
         return []
     when = f"at t = {float(run.frame_times[-1]):.6g}"
-    if run.scene.section.layers(run.scene.mesh) is not None:
+    if ply_counts(run.scene.section, run.scene.mesh) is not None:
         largest = largest_von_mises(run)
         return [f"  largest von Mises stress {when}: {largest.value:.6g}, element {largest.element}, {largest.face}"]
     found = section_forces(run, at="mean")

@@ -73,6 +73,10 @@ class Element(eqx.Module):
             coupling,
         )
 
+    def resting_at(self, rest: Float[Array, "*m 12"]) -> "Element":
+        """The same with other deformations at which it is free of stress."""
+        return eqx.tree_at(lambda element: element.rest, self, rest, is_leaf=lambda leaf: leaf is None)
+
     @property
     def mass_per_area(self) -> Float[Array, "*m"]:
         """M_ρ = ρh, eq. (30)."""

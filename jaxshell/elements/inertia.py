@@ -73,6 +73,20 @@ class StepFactors(NamedTuple):
         """(·)_{n+1-α}, eq. (91)."""
         return (1.0 - alpha) * end + alpha * start
 
+    def mid_acceleration(self, increment, rate, acceleration, damping=None):
+        """Acceleration at t_{n+1-αm}; with mass-proportional `damping` α plus α times the rate at t_{n+1-αf}."""
+        found = self.mid(self.second(increment, rate, acceleration), acceleration, self.alpha_m)
+        if damping is not None:
+            found = found + damping * self.mid(self.first(increment, rate, acceleration), rate, self.alpha_f)
+        return found
+
+    def mid_acceleration_slope(self, damping=None):
+        """Derivative of `mid_acceleration` by the increment."""
+        slope = (1.0 - self.alpha_m) / (self.beta * self.dt**2)
+        if damping is not None:
+            slope = slope + damping * (1.0 - self.alpha_f) * self.gamma / (self.beta * self.dt)
+        return slope
+
 
 def apply_inertia(axis, rotary_inertia, vector):
     """I_ρ v = (ρh³/12) (v - t t·v), eq. (32); `axis` (..., 3) is the director t in the frame of v."""
@@ -122,9 +136,7 @@ def _mid_point(theta, start: PointStart, factors: StepFactors, centrifugal: bool
     averaged = factors.mid(end, jnp.eye(3), factors.alpha_f)
     t, first, second = start.director, start.rate, start.acceleration
     rate = factors.mid(factors.first(theta, first, second), first, factors.alpha_f)
-    acceleration = factors.mid(factors.second(theta, first, second), second, factors.alpha_m)
-    if alpha is not None:
-        acceleration = acceleration + alpha * rate
+    acceleration = factors.mid_acceleration(theta, first, second, alpha)
     a = acceleration - dot(acceleration, t) * t
     if centrifugal:
         a = a - dot(rate, t) * cross(rate, t)  # Ω × (Ω - t t·Ω)
@@ -149,9 +161,7 @@ def point_director(
     `point_inertia`, for one point. With mass-proportional damping `alpha` its α times rate is added."""
     _, averaged, rate, _ = _mid_point(theta, start, factors, centrifugal=False)
     t, first, second = start.director, start.rate, start.acceleration
-    acceleration = factors.mid(factors.second(theta, first, second), second, factors.alpha_m)
-    if alpha is not None:
-        acceleration = acceleration + alpha * rate
+    acceleration = factors.mid_acceleration(theta, first, second, alpha)
     return product(averaged, t), product(averaged, cross(acceleration, t) + cross(rate, cross(rate, t)))
 
 
@@ -166,11 +176,8 @@ def point_tangent(
     """
     end, averaged, rate, a = _mid_point(theta, start, factors, centrifugal, alpha)
     t = start.director
-    beta, gamma, alpha_m, alpha_f, dt = factors
-    second = (1.0 - alpha_m) / (beta * dt * dt)
-    if alpha is not None:
-        second = second + alpha * (1.0 - alpha_f) * gamma / (beta * dt)
-    material = second * (jnp.eye(3) - t[:, None] * t[None, :])
+    beta, gamma, _, alpha_f, dt = factors
+    material = factors.mid_acceleration_slope(alpha) * (jnp.eye(3) - t[:, None] * t[None, :])
     if centrifugal:
         gyroscopic = dot(rate, t) * rotations.skew(t) - cross(rate, t)[:, None] * t[None, :]
         material = material + (1.0 - alpha_f) * gamma / (beta * dt) * gyroscopic

@@ -135,7 +135,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             average=lambda Lambda: factors.mid(Lambda, data.Lambda, factors.alpha_f),
         )
         points = data.spins if self.inertia == "seven_point" else None
-        acceleration = seven_point.mid_acceleration(u[:, :3], data.v, data.a, factors, alpha)
+        acceleration = factors.mid_acceleration(u[:, :3], data.v, data.a, alpha)
         K = K + seven_point.inertial_tangent(motion.theta, points, element, factors, acceleration, alpha)  # eq. (95)
         if self.inertia == "traditional":
             blocks = traditional.stiffness(motion, data.R, data.spins, element, factors, alpha)

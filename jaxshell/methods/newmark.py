@@ -91,7 +91,7 @@ class ForceLevelMethod(ImplicitMethod):
             material = weight * (1.0 + damping.viscous_material(data.damped, step, 0.0))
         K = corotational.stiffness(kin, f, data.element, motion.spin, material=material, geometric=weight)
         alpha = damping.alpha_of(data.damped)
-        acceleration = seven_point.mid_acceleration(u[:, :3], data.v, data.a, step, alpha)
+        acceleration = step.mid_acceleration(u[:, :3], data.v, data.a, alpha)
         return K + seven_point.inertial_tangent(motion.theta, data.points, data.element, step, acceleration, alpha)
 
     # --- the shell -----------------------------------------------------------------------------------------

@@ -35,7 +35,7 @@ def inertial_forces(
     `points` None leaves the rotary inertia out. Mass-proportional damping `alpha`, where it is not None, adds α M v
     with the velocities of n+1-αf.
     """
-    acceleration = mid_acceleration(increment, v, a, factors, alpha)
+    acceleration = factors.mid_acceleration(increment, v, a, alpha)
     mass = element.mass_per_area * element.area
     force = scaled(mass, product(jnp.asarray(LINEAR_MASS), acceleration))
     if points is None:
@@ -61,9 +61,9 @@ def inertial_tangent(
 ):
     """Derivative of `inertial_forces` by displacements and rotation vectors of the step, eqs. (51), (95); (18, 18).
 
-    `acceleration` (3, 3), that of `mid_acceleration`, is needed where ∫ρz dz does not vanish.
+    `acceleration` (3, 3), of `StepFactors.mid_acceleration`, is needed where ∫ρz dz does not vanish.
     """
-    second = _second(factors, alpha)
+    second = factors.mid_acceleration_slope(alpha)
     K = second * element.mass_per_area * element.area * jnp.asarray(_TRANSLATIONAL_MASS)
     if points is None:
         return K
@@ -75,22 +75,6 @@ def inertial_tangent(
     if element.first_moment is not None:
         K = K + element.area * element.first_moment * _uneven_tangent(theta, points, acceleration, factors, alpha)
     return K
-
-
-def _second(factors: StepFactors, alpha):
-    """Derivative of `mid_acceleration` by the increment."""
-    second = (1.0 - factors.alpha_m) / (factors.beta * factors.dt**2)
-    if alpha is not None:
-        second = second + alpha * (1.0 - factors.alpha_f) * factors.gamma / (factors.beta * factors.dt)
-    return second
-
-
-def mid_acceleration(increment, v, a, factors: StepFactors, alpha=None):
-    """Accelerations at t_{n+1-αm}; with mass-proportional damping `alpha` [1/time] plus α v at t_{n+1-αf}."""
-    acceleration = factors.mid(factors.second(increment, v, a), a, factors.alpha_m)
-    if alpha is not None:
-        acceleration = acceleration + alpha * factors.mid(factors.first(increment, v, a), v, factors.alpha_f)
-    return acceleration
 
 
 def _uneven_tangent(theta, points: PointStart, acceleration, factors: StepFactors, alpha) -> Float[Array, "18 18"]:
@@ -108,7 +92,7 @@ def _uneven_tangent(theta, points: PointStart, acceleration, factors: StepFactor
     def pairs(blocks):  # between the nodes
         return jnp.einsum("abp,pij->aibj", weights, blocks)
 
-    by_displacement = _second(factors, alpha) * pairs(jax.vmap(skew)(directors))
+    by_displacement = factors.mid_acceleration_slope(alpha) * pairs(jax.vmap(skew)(directors))
     rows = [
         jnp.stack([jnp.zeros((3, 3, 3, 3)), pairs(changed)], axis=3),
         jnp.stack([by_displacement, pairs(moved)], axis=3),

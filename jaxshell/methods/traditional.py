@@ -25,10 +25,7 @@ def _accelerations(theta, spins: Spins, element: Element, factors: StepFactors, 
     """∫ N_a I_ρ (Ω̇ + α Ω) dA for the three nodes, at the generalised mid-point; α None is none."""
 
     def one(theta, spins):
-        end = inertia.end_of_step(theta, spins, factors)
-        acceleration = factors.mid(end.Omega_dot, spins.Omega_dot, factors.alpha_m)
-        if alpha is not None:
-            acceleration = acceleration + alpha * factors.mid(end.Omega, spins.Omega, factors.alpha_f)
+        acceleration = factors.mid_acceleration(theta @ spins.R, spins.Omega, spins.Omega_dot, alpha)
         return inertia.apply_inertia(element.frame[2], element.rotary_inertia, acceleration)
 
     return element.area * product(jnp.asarray(LINEAR_MASS), jax.vmap(one)(theta, spins))
@@ -47,10 +44,7 @@ def stiffness(
     tensor = element.rotary_inertia * (jnp.eye(3) - element.frame[2][:, None] * element.frame[2][None])
     mass = element.area * jnp.asarray(LINEAR_MASS)
     R = factors.mid(motion.R, R_start, factors.alpha_f)
-    second = (1.0 - factors.alpha_m) / (factors.beta * factors.dt**2)
-    if alpha is not None:
-        second = second + alpha * (1.0 - factors.alpha_f) * factors.gamma / (factors.beta * factors.dt)
-    linear = second * jnp.einsum("ab,aij,jk,blk->aibl", mass, R, tensor, R_start)
+    linear = factors.mid_acceleration_slope(alpha) * jnp.einsum("ab,aij,jk,blk->aibl", mass, R, tensor, R_start)
     turned = dot(motion.R, _accelerations(motion.theta, spins, element, factors, alpha)[:, None, :])
     turning = (1.0 - factors.alpha_f) * jnp.einsum("aij,ajk->aik", jax.vmap(rotations.skew)(turned), motion.spin)
     return linear - jnp.einsum("aij,ab->aibj", turning, jnp.eye(3))

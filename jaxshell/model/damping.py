@@ -15,10 +15,12 @@ from jaxtyping import Array, Float
 from jaxshell.model.mesh import Mesh
 from jaxshell.numerics.checks import (
     check_count,
+    check_for_each,
     check_one_or_each,
     check_positive,
     check_shape,
     float_array,
+    for_each,
     is_concrete,
     shown,
 )
@@ -65,18 +67,19 @@ class RayleighDamping(eqx.Module):
 
     def check(self, mesh: Mesh) -> None:
         """Raise ValueError for values per element of another number of elements; called when the scene is made."""
-        self.per_element(mesh.n_elements)
+        for name in ("alpha", "beta"):
+            if getattr(self, name) is not None:
+                check_for_each(f"damping {name}", getattr(self, name), mesh.n_elements)
 
     def per_element(self, n_elements: int) -> Damping:
         """Both coefficients as arrays (n_elements,), or None. Raises ValueError for another length."""
-        found = []
-        for name in ("alpha", "beta"):
-            value = getattr(self, name)
-            if value is not None and value.shape not in ((), (n_elements,)):
-                wanted = f"one value or one per element ({n_elements})"
-                raise ValueError(f"damping {name} must be {wanted}, but it has shape {value.shape}.")
-            found.append(None if value is None else jnp.broadcast_to(value, (n_elements,)))
-        return Damping(*found)
+        given = {"alpha": self.alpha, "beta": self.beta}
+        return Damping(
+            **{
+                name: None if value is None else for_each(f"damping {name}", value, n_elements)
+                for name, value in given.items()
+            }
+        )
 
     @classmethod
     def from_ratios(cls, scene, ratios, modes=None, *, frequencies=None) -> "RayleighDamping":

@@ -263,6 +263,18 @@ def check_shape(name: str, value, shape: tuple) -> None:
         raise ValueError(f"{name} must have shape {wanted}, but it has shape {actual}.")
 
 
+def check_for_each(name: str, value, count: int, shape: tuple[int, ...] = ()) -> None:
+    """Raise ValueError unless `value` is one of `shape`, or one for each of `count` elements."""
+    if value.shape not in (shape, (count, *shape)):
+        raise ValueError(f"{name} must be one value or one per element ({count}), but it has shape {value.shape}.")
+
+
+def for_each(name: str, value, count: int, shape: tuple[int, ...] = ()) -> jax.Array:
+    """`value` for every element, (count, *shape). Raises ValueError as `check_for_each`."""
+    check_for_each(name, value, count, shape)
+    return jnp.broadcast_to(value, (count, *shape))
+
+
 def check_one_or_each(name: str, value) -> None:
     """Raise ValueError unless `value` is one number, or a list of at least one."""
     shape = np.shape(value)

@@ -13,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxshell.assembly.discretised import rest_deformations
 from jaxshell.assembly.gauges import force_probe
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
 from jaxshell.elements.strains import section_strains as strains_of_element
-from jaxshell.model.materials.base import strain_rotation, stress_rotation
+from jaxshell.model.materials.base import strain_rotation
 from jaxshell.model.scene import Scene
 from jaxshell.model.sections.direction import angles, check_direction, given_direction
 from jaxshell.numerics.checks import check_choice, check_kind, check_shape, shown
@@ -30,7 +31,7 @@ class SectionForces(eqx.Module):
     """Forces and moments on a unit of width of the shell's section, m elements at three points or at their middle.
 
     Components are (xx, yy, xy), or of axes="global" 3×3 tensors in space. There are no transverse forces Q: the element
-    knows none, and div M in single elements is off by 45 % in a plate, on every mesh (tried; see docs/stresses.md).
+    knows none, and div M in single elements does not come nearer on finer meshes (docs/stresses.md).
     """
 
     N: Float[Array, "*m 3"]
@@ -229,14 +230,12 @@ def _averaged(found, shape: Shape, at: str):
 def _section_forces(scene: Scene, shape: Shape, angle, whole: bool) -> SectionForces:
     elements = elements_of(scene)
     strains = strains_at_points(scene, elements, shape)
-    both = force_probe(scene, elements.section.matrix)(strains, shape.factors)
+    probe = force_probe(scene, elements.section.matrix)
+    both = (probe if angle is None else probe.turned(angle))(strains, shape.factors)
     N, M = both[..., :3], both[..., 3:]
     if whole:
         return SectionForces(in_space(scene, shape, N), in_space(scene, shape, M))
-    if angle is None:
-        return SectionForces(N, M)
-    turn = jax.vmap(stress_rotation)(angle)
-    return SectionForces(jnp.einsum("mij,m...j->m...i", turn, N), jnp.einsum("mij,m...j->m...i", turn, M))
+    return SectionForces(N, M)
 
 
 @compiled
@@ -260,11 +259,8 @@ def _section_strains(scene: Scene, shape: Shape, angle, whole: bool, elastic: bo
 def _energies(scene: Scene, shape: Shape) -> Float[Array, " m"]:
     elements = jax.vmap(Element.build)(scene.mesh.nodes[scene.mesh.triangles], scene.section.resultants(scene.mesh))
     if scene.initial_strains:
-        rest = jnp.zeros((len(elements.area), 12))
-        for factor, load in zip(shape.factors, scene.initial_strains, strict=True):
-            own = load.strains(scene.section, scene.mesh)
-            rest = rest + factor * jax.vmap(corotational.constant_strains)(elements.coordinates, *own)
-        elements = eqx.tree_at(lambda e: e.rest, elements, rest, is_leaf=lambda leaf: leaf is None)
+        rests = zip(shape.factors, rest_deformations(scene, elements), strict=True)
+        elements = elements.resting_at(sum((factor * rest for factor, rest in rests), jnp.zeros(())))
 
     def one(x0, d, R, element):
         e = corotational.kinematics((x0 - x0[:1]) + (d - d[:1]), R, element).deformations

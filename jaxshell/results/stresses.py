@@ -7,7 +7,6 @@ Kirchhoff's theory. See `jaxshell.results.section_forces` for what ε and κ are
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -91,10 +90,10 @@ class Largest(NamedTuple):
 def largest_von_mises(solution: Solution, frame=-1) -> Largest:
     """Von Mises' stress [force/length²] at the element, and at its top or bottom, where it is largest, of the elements'
     middles. Raises ValueError for a section without layers."""
-    found = {
-        face: np.asarray(_middle(solution.scene, shape_of(solution, frame), checked_gauge(solution.scene, text)))
-        for face, text in (("top", "von mises top"), ("bottom", "von mises bottom"))
-    }
+    faces = ("top", "bottom")
+    gauges = tuple(checked_gauge(solution.scene, f"von mises {face}") for face in faces)
+    values = _middles(solution.scene, shape_of(solution, frame), gauges)
+    found = dict(zip(faces, map(np.asarray, values), strict=True))
     face = max(found, key=lambda name: found[name].max())
     element = int(np.argmax(found[face]))
     return Largest(float(found[face][element]), element, face)
@@ -154,7 +153,7 @@ def _gauge_field(scene: Scene, shape: Shape, gauge: Gauge) -> Float[Array, "m 3"
 
 
 @compiled
-def _middle(scene: Scene, shape: Shape, gauge: Gauge) -> Float[Array, " m"]:
+def _middles(scene: Scene, shape: Shape, gauges: tuple[Gauge, ...]) -> list[Float[Array, " m"]]:
     elements = elements_of(scene)
     strains = jnp.mean(strains_at_points(scene, elements, shape), axis=1, keepdims=True)
-    return jax.vmap(lambda value: picked(value, gauge))(probe_of(scene, elements, gauge)(strains, shape.factors)[:, 0])
+    return [picked(probe_of(scene, elements, gauge)(strains, shape.factors)[:, 0], gauge) for gauge in gauges]

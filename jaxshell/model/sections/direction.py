@@ -1,7 +1,5 @@
 """Directions on the shell: from which way on it the angles of plies and the components of strains are counted."""
 
-import math
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -45,10 +43,6 @@ class Cylindrical(eqx.Module):
         if self.along == "axis":
             return jnp.broadcast_to(self.axis, centres.shape)
         return jnp.cross(self.axis, centres - self.origin)
-
-
-Direction = Cylindrical | Float[jax.Array, "3"] | Float[jax.Array, "m 3"]
-"""A vector, one for each element, or the directions of a cylinder."""
 
 
 def given_direction(value):
@@ -98,8 +92,3 @@ def angles(direction, mesh) -> Float[Array, " m"]:
     frames, _ = jax.vmap(local_frame)(mesh.nodes[mesh.triangles])
     along = jnp.einsum("mij,mj->mi", frames, vectors_at(direction, mesh))
     return jnp.arctan2(along[:, 1], along[:, 0])
-
-
-def degrees(angle) -> Array:
-    """An angle in degrees as radians."""
-    return jnp.asarray(angle) * (math.pi / 180.0)

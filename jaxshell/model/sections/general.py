@@ -16,6 +16,7 @@ from jaxshell.numerics.checks import (
     check_one_or_each,
     check_positive,
     float_array,
+    for_each,
     is_concrete,
     optional_floats,
 )
@@ -164,11 +165,6 @@ class GeneralSection(AnySection):
         for name in ("A", "B", "D", "thermal", "mass_per_area", "rotary_inertia", "first_moment"):
             value = getattr(self, name)
             if value is not None:
-                shape = (3, 3) if name in ("A", "B", "D", "thermal") else ()
-                if value.shape not in (shape, (n_elements, *shape)):
-                    raise ValueError(
-                        f"{name} must be one value or one per element ({n_elements}), but it has shape {value.shape}."
-                    )
-                value = jnp.broadcast_to(value, (n_elements, *shape))
+                value = for_each(name, value, n_elements, (3, 3) if name in ("A", "B", "D", "thermal") else ())
             found[name] = value
         return found

@@ -12,7 +12,15 @@ from jaxshell.model.materials.checks import check_poisson_ratio
 from jaxshell.model.materials.isotropic import plane_stress_matrix
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sections.base import BETA_0_MINIMUM, AnySection, Layers, Patch, Resultants, check_bearable
-from jaxshell.numerics.checks import check_finite, check_one_or_each, check_positive, float_array, floats, is_concrete
+from jaxshell.numerics.checks import (
+    check_finite,
+    check_one_or_each,
+    check_positive,
+    float_array,
+    floats,
+    for_each,
+    is_concrete,
+)
 
 _VALUES = ("thickness", "young_modulus", "poisson_ratio", "density", "expansion")
 
@@ -86,15 +94,7 @@ class Section(AnySection):
 
     def per_element(self, n_elements: int) -> "Section":
         """The same section with every value as an array (n_elements,). Raises ValueError for another length."""
-        values = {}
-        for name in _VALUES:
-            value = jnp.asarray(getattr(self, name))
-            if value.shape not in ((), (n_elements,)):
-                raise ValueError(
-                    f"{name} must be one value or one per element ({n_elements}), but it has shape {value.shape}."
-                )
-            values[name] = jnp.broadcast_to(value, (n_elements,))
-        return Section(**values)
+        return Section(**{name: for_each(name, jnp.asarray(getattr(self, name)), n_elements) for name in _VALUES})
 
 
 def isotropic(thickness, young_modulus, poisson_ratio, density) -> Resultants:

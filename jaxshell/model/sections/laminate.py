@@ -21,17 +21,19 @@ from jaxshell.model.sections.base import (
     off_centre,
     optimal_beta0,
 )
-from jaxshell.model.sections.direction import angles, check_direction, degrees, given_direction
+from jaxshell.model.sections.direction import angles, check_direction, given_direction
 from jaxshell.model.sections.layup import read_layup
 from jaxshell.model.sections.ply import Ply
 from jaxshell.numerics.checks import (
     check_finite,
+    check_for_each,
     check_kind,
     check_one_or_each,
     check_positive,
     check_shape,
     check_switch,
     float_array,
+    for_each,
     is_concrete,
     shown,
 )
@@ -113,7 +115,7 @@ class Laminate(AnySection):
     def layers(self, mesh: Mesh | Patch) -> Layers:
         plies = self.all_plies
         thickness = self._each("thickness", mesh.n_elements)
-        angle = self.direction_angles(mesh)[:, None] + degrees(self._each("angle", mesh.n_elements))
+        angle = self.direction_angles(mesh)[:, None] + jnp.deg2rad(self._each("angle", mesh.n_elements))
         top = jnp.cumsum(thickness, axis=1) - 0.5 * jnp.sum(thickness, axis=1, keepdims=True)
         if self.offset is not None:
             top = top + self.offset
@@ -149,8 +151,9 @@ class Laminate(AnySection):
         )
 
     def check(self, mesh: Mesh | Patch) -> None:
-        for ply in range(len(self.plies)):
-            self._check_length(ply, mesh.n_elements)
+        for position, ply in enumerate(self.plies):
+            for name in ("thickness", "angle"):
+                check_for_each(f"ply {position}: {name}", getattr(ply, name), mesh.n_elements)
         check_direction(self.direction, mesh)
         if self._is_known:
             bottom, top, density = self._heights_and_densities()
@@ -184,19 +187,10 @@ class Laminate(AnySection):
         top = np.cumsum(thickness, axis=1) - 0.5 * np.sum(thickness, axis=1, keepdims=True) + middle
         return top - thickness, top, np.array([float(ply.material.density) for ply in plies])
 
-    def _check_length(self, position: int, n_elements: int) -> None:
-        for name in ("thickness", "angle"):
-            value = getattr(self.all_plies[position], name)
-            if value.shape not in ((), (n_elements,)):
-                raise ValueError(
-                    f"ply {position}: {name} must be one value or one per element ({n_elements}), but it has shape "
-                    f"{value.shape}."
-                )
-
     def _each(self, name: str, n_elements: int) -> Float[Array, "m p"]:
         """Thicknesses or angles of all plies in every element."""
-        columns = []
-        for position, ply in enumerate(self.all_plies):
-            self._check_length(position, n_elements)
-            columns.append(jnp.broadcast_to(getattr(ply, name), (n_elements,)))
+        columns = [
+            for_each(f"ply {position}: {name}", getattr(ply, name), n_elements)
+            for position, ply in enumerate(self.all_plies)
+        ]
         return jnp.stack(columns, axis=1)
