@@ -1,0 +1,36 @@
+"""`jaxshell chart`: error against time for every choice, drawn."""
+
+import argparse
+from pathlib import Path
+
+from jaxshell.command.run_settings import first_step, one_thread_for_small_meshes, open_scene
+from jaxshell.command.start import prepare_jax
+from jaxshell.command.trials import add_options
+
+
+def add(commands) -> None:
+    chart = commands.add_parser("chart", help="draw error against time for every choice, and the best of them")
+    chart.set_defaults(command=_chart)
+    chart.add_argument("--output", type=Path, default=Path("."), metavar="DIR", help="where files go (default: here)")
+    add_options(chart)
+
+
+def _chart(options: argparse.Namespace) -> int:
+    one_thread_for_small_meshes(options.scene)
+    prepare_jax()
+    from jaxshell.advice.chart import chart, default_window, mesh_points, write_points
+    from jaxshell.plotting.work_precision import draw
+    from jaxshell.scenes import PAPER
+
+    scene, of_file, stem = open_scene(options.scene)
+    dt = first_step(options, of_file, scene)
+    options.output.mkdir(parents=True, exist_ok=True)
+    say = (lambda *_: None) if options.quiet else lambda text: print(text, flush=True)
+    points, reference = chart(scene, dt, default_window(scene, dt, options.t_end), say=say)
+    if options.scene in PAPER:
+        points += mesh_points(PAPER[options.scene], dt, float(reference.times[-1]), say)
+    data, picture = (options.output / f"{stem}_work_precision{end}" for end in (".json", ".png"))
+    write_points(data, scene, points, reference)
+    draw(scene.name, points, floor=reference.uncertainty).savefig(picture, bbox_inches="tight")
+    print(f"{data}\n{picture}")
+    return 0

@@ -1,0 +1,105 @@
+"""`jaxshell run`: run a scene, write its results and pictures."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from jaxshell.command.run_settings import (
+    arguments_of_simulate,
+    chosen_methods,
+    one_thread_for_small_meshes,
+    open_scene,
+    required,
+    settled,
+    solution_to_go_on_from,
+    what_is_left,
+    with_picture_times,
+)
+from jaxshell.command.start import prepare_jax
+from jaxshell.files.quoted import file_part
+from jaxshell.files.run_keys import add_options
+from jaxshell.numerics.signals import exit_status
+
+
+def add(commands) -> None:
+    run = commands.add_parser("run", help="run a scene; write its results and pictures")
+    run.set_defaults(command=_run)
+    run.add_argument("scene", metavar="SCENE", help="a scene's name (see `jaxshell scenes`), a .toml or .h5 file")
+    run.add_argument(
+        "--divisions", type=int, nargs="+", metavar="N", help="divisions of the mesh (library scenes only)"
+    )
+    add_options(run)
+    run.add_argument("--output", type=Path, default=Path("."), metavar="DIR", help="where files go (default: here)")
+    run.add_argument(
+        "--continue",
+        dest="go_on",
+        action="store_true",
+        help="go on from the end of a result file, to the end it was to have or for --t-end more",
+    )
+    run.add_argument("--overwrite", action="store_true", help="replace a result file also where its run did not end")
+    run.add_argument("--no-plots", action="store_true", help="write the results only")
+    run.add_argument("--quiet", action="store_true", help="print errors only")
+
+
+def _run(options: argparse.Namespace) -> int:
+    one_thread_for_small_meshes(options.scene, options.divisions)
+    prepare_jax()
+    from jaxshell.analyses.simulation import simulate
+    from jaxshell.command.report import describe_run, describe_scene
+    from jaxshell.results.hdf5 import ResultWriter
+    from jaxshell.results.solution import RESULTS
+
+    scene, of_file, stem = open_scene(options.scene, options.divisions)
+    restart = None
+    if options.go_on:
+        restart, stem = solution_to_go_on_from(options), f"{Path(options.scene).stem}_continued"
+    settings = settled(options, of_file, scene)
+    scene = with_picture_times(scene, settings)
+    methods, arguments = chosen_methods(settings, scene), arguments_of_simulate(settings)
+    t_end = required(settings, "t_end")
+    if restart is not None and options.t_end is None:
+        t_end = what_is_left(restart, t_end)
+    options.output.mkdir(parents=True, exist_ok=True)
+    say = (lambda *_: None) if options.quiet else print
+    say(describe_scene(scene))
+    solutions, failed = {}, []
+    for label, method in methods.items():
+        path = options.output / (f"{stem}.h5" if len(methods) == 1 else f"{stem}_{_file_part(label)}.h5")
+        try:
+            solution = simulate(
+                scene,
+                method,
+                t_end=t_end,
+                **arguments,
+                restart=restart,
+                throw=False,
+                progress=sys.stderr.isatty() and not options.quiet,
+                output=ResultWriter(path, overwrite=options.overwrite),
+            )
+        except KeyboardInterrupt as stopped:
+            if path.exists():
+                print(
+                    f"jaxshell: stopped; {path} holds what was computed until then. "
+                    f"`jaxshell run {path} --continue` goes on with it.",
+                    file=sys.stderr,
+                )
+            else:
+                print("jaxshell: stopped before the first step.", file=sys.stderr)
+            return exit_status(stopped)
+        solutions[label] = solution
+        say(describe_run(label, solution, path))
+        if not bool(solution.result == RESULTS.successful):
+            failed.append(label)
+            print(f"jaxshell: {label} failed. {solution.message}", file=sys.stderr)
+    if not options.no_plots:
+        from jaxshell.plotting import plot
+
+        for path in plot(solutions, options.output, stem):
+            say(f"  {path}")
+    return 1 if failed else 0
+
+
+def _file_part(label: str) -> str:
+    """A method's label as part of a file's name."""
+    plain = label.replace("ρ∞", "rho").replace("ξ", "xi").replace(" = ", "").replace(", ", "_")
+    return file_part(plain)
