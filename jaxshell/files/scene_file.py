@@ -3,12 +3,14 @@
     name, units ("SI" puts units on the pictures' axes)
     [mesh]         generator and its arguments (see `jaxshell.model.generators`), or file (whatever meshio reads) with
                    quads ("split", "error"), merge (a tolerance), orient (true), coincident ("allow"): see `Mesh.read`;
-                   element_sets = { name = [numbers] or { plane, box } for the elements' centroids }
+                   element_sets = { name = [numbers] or { plane, box } for the elements' centroids };
+                   node_sets = { name = [numbers] or { nearest, plane, box, boundary } };
+                   side_sets = { name = [[node, node], ...] or { ... } for the boundary's edges between such nodes }
     [section]      thickness, young_modulus, poisson_ratio, density; kind = "isotropic" where it is not left out
     [materials.X], laminates, regions, [[thermal]], [[initial_strain]]: see `jaxshell.files.sections`
     [[supports]]   nodes; hold = "clamped", "pinned", "symmetry x" or list; displacement, history
-    [[loads]]      kind = "force", "moment", "edge force", "gravity", "pressure" or "normal force"; nodes; its
-                   force, moment, acceleration, pressure or magnitude; history
+    [[loads]]      kind = "force", "moment", "edge force", "gravity", "pressure" or "normal force"; nodes, edges of an
+                   edge force, elements of a pressure; its force, moment, acceleration, pressure or magnitude; history
     [damping]      alpha, beta, or ratios with modes (counted from 1) or frequencies: see `RayleighDamping`
     [watch]        label = { nearest or node, component }, or of a stress or section force, as "von mises top" or "Mxx",
                    { nearest or element, component }
@@ -16,21 +18,22 @@
     [run]          how it is run: the keys of `jaxshell.files.run_keys.RunSettings`, method, dt, t_end, save_every,
                    step_tolerance (step control, started with dt), reactions, ...
 
-Nodes are chosen by `nodes = [...]`, `nearest = [x, y, z]`, `plane = { x = 0.0 }`, `box = [[low], [high]]` or
-`boundary = true`; several of these together choose what fulfils all. A history is `{ times, values }` or
-`{ ramp = t }`; without one the load acts, whole, from the start.
+Nodes are chosen by `nodes = [...]` or `nodes = "name of a set"`, `nearest = [x, y, z]`, `plane = { x = 0.0 }`,
+`box = [[low], [high]]` or `boundary = true`; several of these together choose what fulfils all. A history is
+`{ times, values }` or `{ ramp = t }`; without one the load acts, whole, from the start.
 """
 
 import dataclasses
 import inspect
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from jaxshell.files.run_keys import RunSettings
 from jaxshell.files.sections import chosen_kind, read_direction, read_materials, read_section
-from jaxshell.files.selectors import NODE_SELECTORS, chosen_elements, chosen_nodes
+from jaxshell.files.selectors import NODE_SELECTORS, chosen_edges, chosen_elements, chosen_nodes
 from jaxshell.files.tables import Table
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.gauge import gauge_of
@@ -81,7 +84,7 @@ def _scene(content: dict, path: Path) -> tuple[Scene, RunSettings]:
         mesh,
         read_section(top, read_materials(top.table("materials", optional=True)), mesh),
         [_support(table, mesh) for table in top.tables("supports")],
-        [_load(table, mesh) for table in top.tables("loads")] + _initial_strains(top),
+        [_load(table, mesh) for table in top.tables("loads")] + _initial_strains(top, mesh),
         initial=_initial(top.table("initial", optional=True), mesh),
         name=top.text("name", path.stem),
         watch=_watch(top.table("watch", optional=True), mesh),
@@ -93,18 +96,38 @@ def _scene(content: dict, path: Path) -> tuple[Scene, RunSettings]:
 
 
 def _mesh(table: Table, folder: Path) -> Mesh:
-    made = {key: value for key, value in table.content.items() if key != "element_sets"}
+    made = {key: value for key, value in table.content.items() if key not in _SETS}
     mesh = _plain_mesh(Table(table.name, made), folder)
-    if "element_sets" not in table.content:
-        return mesh
-    inner = table.table("element_sets")
-    sets = {name: chosen_elements(inner, name, mesh) for name in inner.content}
-    return table.call(Mesh, mesh.nodes, mesh.triangles, coincident="allow", element_sets=sets)
+    given = {}
+    for key, chosen in _SETS.items():
+        if key in table.content:
+            inner = table.table(key)
+            given[key] = {name: chosen(inner, name, mesh) for name in inner.content}
+    return table.call(mesh.with_sets, **given) if given else mesh
+
+
+def _set_of_nodes(table: Table, name: str, mesh: Mesh) -> np.ndarray:
+    """A set of nodes by their numbers, or by a table of selectors."""
+    inner = table.table(name) if isinstance(table.get(name), dict) else Table(table.name, {"nodes": table.get(name)})
+    inner.only(*NODE_SELECTORS)
+    return chosen_nodes(inner, mesh)
+
+
+def _set_of_sides(table: Table, name: str, mesh: Mesh) -> Any:
+    """A set of edges as pairs of nodes, or those of the boundary between nodes that a table of selectors chooses."""
+    if not isinstance(table.get(name), dict):
+        return table.get(name)
+    inner = table.table(name)
+    inner.only(*NODE_SELECTORS)
+    return chosen_edges(inner, mesh)
+
+
+_SETS = {"node_sets": _set_of_nodes, "element_sets": chosen_elements, "side_sets": _set_of_sides}
 
 
 def _plain_mesh(table: Table, folder: Path) -> Mesh:
     if "file" in table.content:
-        table.only("file", *_READING, "element_sets")
+        table.only("file", *_READING, *_SETS)
         file = folder / table.text("file")
         if not is_file(file):
             raise ValueError(f"[mesh] There is no file {shown(str(file))}.")
@@ -114,7 +137,7 @@ def _plain_mesh(table: Table, folder: Path) -> Mesh:
         raise ValueError(f"[mesh] generator must be one of {', '.join(GENERATORS)}, but it is {name!r}.")
     generator = GENERATORS[name]
     arguments = inspect.signature(generator).parameters
-    table.only("generator", *arguments, "element_sets")
+    table.only("generator", *arguments, *_SETS)
     for argument in arguments.values():
         if argument.default is argument.empty:
             table.get(argument.name)
@@ -138,22 +161,24 @@ def _support(table: Table, mesh: Mesh) -> Support:
 def _load(table: Table, mesh: Mesh) -> Load:
     load = _LOADS[chosen_kind(table, _LOADS)]
     if load.acts_on == "shell":
-        table.only("kind", load.value, "history")
-        return table.call(load, table.get(load.value), _history(table))
-    table.only("kind", *NODE_SELECTORS, load.value, "history")
-    where = chosen_nodes(table, mesh)
-    if load.acts_on == "edges":
-        edges = mesh.boundary_edges()
-        where = edges[np.isin(edges, where).all(axis=1)]
-        if not len(where):
-            raise ValueError(f"{table.name} No edge of the mesh's boundary has both its ends among the chosen nodes.")
+        table.only("kind", load.value, "history", *load.sets)
+        chosen = {key: chosen_elements(table, key, mesh) for key in load.sets if key in table.content}
+        return table.call(load, table.get(load.value), _history(table), **chosen)
+    on_edges = load.acts_on == "edges"
+    table.only("kind", *NODE_SELECTORS, *(["edges"] if on_edges else []), load.value, "history")
+    where = chosen_edges(table, mesh) if on_edges else chosen_nodes(table, mesh)
     return table.call(load, where, table.get(load.value), _history(table))
 
 
-def _initial_strains(top: Table) -> list[Load]:
+def _initial_strains(top: Table, mesh: Mesh) -> list[Load]:
     kinds = {"thermal": Thermal, "initial_strain": InitialStrain}
     return [
-        table.fields(kind, direction=read_direction, history=lambda table, _: _history(table))
+        table.fields(
+            kind,
+            direction=read_direction,
+            history=lambda table, _: _history(table),
+            elements=lambda table, key: chosen_elements(table, key, mesh),
+        )
         for key, kind in kinds.items()
         for table in top.tables(key)
     ]
@@ -170,7 +195,7 @@ def _history(table: Table) -> History | None:
     return table.call(History, inner.get("times"), inner.get("values"))
 
 
-def _watch(table: Table, mesh: Mesh) -> dict[str, tuple[int, str]]:
+def _watch(table: Table, mesh: Mesh) -> dict[str, tuple[int | str, str]]:
     found = {}
     for label in table.content:
         inner = table.table(label)

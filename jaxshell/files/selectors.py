@@ -1,5 +1,7 @@
 """What tables of a scene file choose nodes and elements by."""
 
+from typing import Any
+
 import numpy as np
 
 from jaxshell.files.tables import Table
@@ -19,7 +21,9 @@ def chosen_nodes(table: Table, mesh: Mesh) -> np.ndarray:
     if not given:
         raise ValueError(f"{table.name} chooses no nodes; give one of {', '.join(NODE_SELECTORS)}.")
     for name in given:
-        if name == "nodes":
+        if name == "nodes" and isinstance(table.get(name), str):
+            mask = np.isin(np.arange(len(x)), table.call(mesh.node_set, table.get(name)))
+        elif name == "nodes":
             mask = _numbered(table, name, len(x))
         elif name == "nearest":
             mask = np.arange(len(x)) == mesh.nearest_node(table.vectors(name, (3,)))
@@ -36,8 +40,10 @@ def chosen_nodes(table: Table, mesh: Mesh) -> np.ndarray:
 
 
 def chosen_elements(table: Table, key: str, mesh: Mesh) -> np.ndarray:
-    """Elements by a list of numbers, or by the place of their centroids: `{ plane = ..., box = ... }`."""
+    """Elements by a set's name, by numbers, or by the place of their centroids: `{ plane = ..., box = ... }`."""
     value = table.get(key)
+    if isinstance(value, str):
+        return table.call(mesh.element_set, value)
     if not isinstance(value, dict):
         return np.flatnonzero(_numbered(table, key, mesh.n_elements))
     inner = table.table(key)
@@ -53,6 +59,20 @@ def chosen_elements(table: Table, key: str, mesh: Mesh) -> np.ndarray:
             f"{inner.name} No element's centroid fulfils {' and '.join(value)}; the mesh spans {_span(x)}."
         )
     return np.flatnonzero(chosen)
+
+
+def chosen_edges(table: Table, mesh: Mesh) -> Any:
+    """(k, 2) edges by the name of a set of sides, as pairs of nodes, or those of the boundary between chosen nodes."""
+    if "edges" in table.content:
+        if stray := [name for name in NODE_SELECTORS if name in table.content]:
+            raise ValueError(f"{table.name} chooses edges by edges or by {stray[0]}, not by both.")
+        edges = table.get("edges")
+        return table.call(mesh.side_set, edges) if isinstance(edges, str) else edges
+    nodes, edges = chosen_nodes(table, mesh), mesh.boundary_edges()
+    edges = edges[np.isin(edges, nodes).all(axis=1)]
+    if not len(edges):
+        raise ValueError(f"{table.name} No edge of the mesh's boundary has both its ends among the chosen nodes.")
+    return edges
 
 
 def _numbered(table: Table, key: str, count: int) -> np.ndarray:

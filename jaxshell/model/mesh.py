@@ -76,23 +76,36 @@ class Mesh(eqx.Module):
         coincident: what is done where nodes lie in one place (closer than 1e-6 of the edges there) and no triangle
             joins them: "error", since two faces that only seem to be one fall apart, or "allow" where it is meant, as
             at the lips of a slit.
-        element_sets: {name: numbers of elements}, for regions of other sections; sets may overlap.
+        node_sets, element_sets: {name: numbers (k,)}. Whatever takes nodes or elements takes a set's name. Sets may
+            overlap.
+        side_sets: {name: edges (k, 2) by the nodes at their ends}, for what acts on edges.
 
     `Mesh.merged` joins coincident nodes and `Mesh.oriented` turns triangles, both from the same arrays.
 
     Raises ValueError for indices out of range, repeated nodes or triangles, zero areas, slivers (longest edge over
-    height above 2.5e4), neighbours with opposite normals, coincident and unused nodes, NaN; RuntimeError when JAX has
-    float64 switched off.
+    height above 2.5e4), neighbours with opposite normals, coincident and unused nodes, NaN, empty sets and sides that
+    are no edge of a triangle; RuntimeError when JAX has float64 switched off.
     """
 
     nodes: Float[jax.Array, "n 3"] = eqx.field(converter=float_array)
     connectivity: Frozen = eqx.field(static=True)
+    node_sets: Sets = eqx.field(static=True)
     element_sets: Sets = eqx.field(static=True)
+    side_sets: Sets = eqx.field(static=True)
 
     merged = _OfMeshOrArrays(_merged)
     oriented = _OfMeshOrArrays(_oriented)
 
-    def __init__(self, nodes, triangles, *, coincident: str = "error", element_sets: Mapping | None = None):
+    def __init__(
+        self,
+        nodes,
+        triangles,
+        *,
+        coincident: str = "error",
+        node_sets: Mapping | None = None,
+        element_sets: Mapping | None = None,
+        side_sets: Mapping | None = None,
+    ):
         require_float64()
         self.nodes = float_array(nodes, "nodes")
         triangles = (
@@ -104,7 +117,10 @@ class Mesh(eqx.Module):
         check_shape("triangles", self.triangles, (None, 3))
         check_finite("nodes", self.nodes)
         _check_connectivity(self.triangles, self.n_nodes)
+        self.node_sets = Sets("node", node_sets, self.n_nodes)
         self.element_sets = Sets("element", element_sets, self.n_elements)
+        self.side_sets = Sets("side", side_sets, self.n_nodes, ends=2)
+        _check_sides(self.side_sets, self.triangles)
         if is_concrete(self.nodes):
             _check_shapes(np.asarray(self.nodes), self.triangles)
             if coincident == "error":
@@ -125,7 +141,26 @@ class Mesh(eqx.Module):
 
     def element_set(self, name: str) -> np.ndarray:
         """Numbers of the elements of a set. Raises ValueError that lists the sets that there are."""
-        return self.element_sets.chosen("element", name)
+        return self.element_sets.chosen(name)
+
+    def node_set(self, name: str) -> np.ndarray:
+        """Indices of the nodes of a set. Raises ValueError that lists the sets that there are."""
+        return self.node_sets.chosen(name)
+
+    def side_set(self, name: str) -> np.ndarray:
+        """(k, 2) ends of the edges of a set. Raises ValueError that lists the sets that there are."""
+        return self.side_sets.chosen(name)
+
+    def with_sets(
+        self, node_sets: Mapping | None = None, element_sets: Mapping | None = None, side_sets: Mapping | None = None
+    ) -> "Mesh":
+        """The mesh with these sets besides its own; one of the same name takes the place of the old one.
+
+        Raises ValueError as `Mesh` for sets that do not fit.
+        """
+        given = {"node_sets": node_sets, "element_sets": element_sets, "side_sets": side_sets}
+        merged = {name: {**getattr(self, name), **({} if new is None else new)} for name, new in given.items()}
+        return Mesh(self.nodes, self.connectivity, coincident="allow", **merged)
 
     def nodes_where(self, condition: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """Indices of the nodes whose coordinates fulfil `condition(x)`, x of shape (3, n).
@@ -295,6 +330,18 @@ def _check_connectivity(triangles: np.ndarray, n_nodes: int) -> None:
             "Mesh.oriented(nodes, triangles) turn all that must be (orient=True in Mesh.read, orient = true in a "
             "scene file)."
         )
+
+
+def _check_sides(sets: Sets, triangles: np.ndarray) -> None:
+    if not sets:
+        return
+    count = int(triangles.max()) + 1
+    known = np.sort(repair.edges_of(triangles), axis=1) @ [count, 1]
+    for name, sides in sets.items():
+        strange = ~np.isin(sides @ [count, 1], known)
+        if strange.any():
+            side = sides[int(np.argmax(strange))].tolist()
+            raise ValueError(f"side_sets {name!r} names the side {side}, which is no edge of a triangle.")
 
 
 def _check_shapes(nodes: np.ndarray, triangles: np.ndarray) -> None:

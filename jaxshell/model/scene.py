@@ -1,6 +1,6 @@
 """The scene: everything that the user states about a shell, as one pytree whose floats are differentiable."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 import equinox as eqx
@@ -106,13 +106,14 @@ class Scene(eqx.Module):
     Arguments:
         mesh, section: the shell. The section is one for all of it, or {name of an element set: section}, or a list of
             (elements, section) with numbers or names of sets: every element in one of them.
-        supports, loads: sequences, possibly empty.
+        supports, loads: sequences, possibly empty. Names of sets become the numbers that the mesh has under them.
         initial: the state at the start; None is rest.
         name: for files and pictures.
         watch: {label: (node, component)}, component out of ux, uy, uz, vx, vy, vz, or {label: (element, component)} for
             a stress or section force such as "von mises top", "sxx bottom", "s11 ply 0", "Mxx" (`jaxshell.model.gauge`
-            lists them); kept at every step. Or the same as (label, number, component), as a scene has it: so
-            `dataclasses.replace` makes a scene that differs in a part.
+            lists them); kept at every step. The name of a set that holds one node or element may stand for it. Or the
+            same as (label, number, component), as a scene has it: so `dataclasses.replace` makes a scene that differs
+            in a part.
         defaults: suggested time step, duration and methods (used by the command line only).
         damping: `RayleighDamping`, or None. Runs in time have it; statics and frequencies do not look at it.
 
@@ -138,7 +139,7 @@ class Scene(eqx.Module):
         loads: Sequence[Load] = (),
         initial: Initial | None = None,
         name: str = "scene",
-        watch: Mapping[str, tuple[int, str]] | Sequence[tuple[str, int, str]] | None = None,
+        watch: Mapping[str, tuple[int | str, str]] | Sequence[tuple[str, int | str, str]] | None = None,
         defaults: Defaults | None = None,
         damping: RayleighDamping | None = None,
     ):
@@ -148,11 +149,11 @@ class Scene(eqx.Module):
         check_kind("section", section, AnySection, "a section such as jaxshell.Section")
         self.mesh = mesh
         self.section = cast(AnySection, section)
-        self.supports = _objects("supports", supports, Support, "jaxshell.Support")
-        self.loads = _objects("loads", loads, Load, "loads such as jaxshell.NodalForce")
+        self.supports = _placed("support", _objects("supports", supports, Support, "jaxshell.Support"), mesh)
+        self.loads = _placed("load", _objects("loads", loads, Load, "loads such as jaxshell.NodalForce"), mesh)
         self.initial = initial
         self.name = name
-        self.watch = _watched(watch)
+        self.watch = _watched(watch, mesh)
         self.defaults = defaults
         self.damping = damping
 
@@ -249,7 +250,18 @@ def _objects(name: str, value, kind: type, public: str) -> tuple[Any, ...]:
     return tuple(value)
 
 
-def _watched(watch) -> tuple[tuple[str, int, str], ...]:
+def _placed(what: str, items: tuple[Any, ...], mesh: Mesh) -> tuple[Any, ...]:
+    """The items with numbers in place of names of sets. Raises ValueError naming the item whose set there is not."""
+    found = []
+    for position, item in enumerate(items):
+        try:
+            found.append(item.on(mesh))
+        except ValueError as error:
+            raise ValueError(f"{what} {position}: {error}") from error
+    return tuple(found)
+
+
+def _watched(watch, mesh: Mesh) -> tuple[tuple[str, int, str], ...]:
     """What is watched, as a scene keeps it. Raises ValueError for anything but labels, nodes and components."""
     if watch is None:
         return ()
@@ -264,12 +276,26 @@ def _watched(watch) -> tuple[tuple[str, int, str], ...]:
         label, node, component = entry
         if not isinstance(label, str):
             raise ValueError(f"A watch label must be text, but it is {shown(label)}.")
+        if isinstance(node, str):
+            chosen = mesh.node_set if gauge_of(component) is None else mesh.element_set
+            node = _only_one(f"watch {label!r}", node, chosen)
         if isinstance(node, bool) or not isinstance(node, int | np.integer):
             raise ValueError(f"watch {label!r} names node {shown(node)}, which is no whole number.")
         found.append((label, int(node), component))
     if len({label for label, _, _ in found}) < len(found):
         raise ValueError(f"watch uses a label twice: {', '.join(label for label, _, _ in found)}.")
     return tuple(found)
+
+
+def _only_one(what: str, name: str, chosen: Callable[[str], np.ndarray]) -> int:
+    """The number in a set. Raises ValueError for a set that there is not, and for one that holds more."""
+    try:
+        numbers = chosen(name)
+    except ValueError as error:
+        raise ValueError(f"{what}: {error}") from error
+    if len(numbers) > 1:
+        raise ValueError(f"{what} names the set {name!r}, which holds {len(numbers)}; one is watched at a time.")
+    return int(numbers[0])
 
 
 def _check_defaults(defaults) -> None:

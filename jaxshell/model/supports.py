@@ -1,5 +1,7 @@
 """Supports: which displacements and rotations of which nodes are held, or follow a prescribed motion."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,18 +9,19 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxshell.model.history import History
-from jaxshell.numerics.checks import check_finite, check_kind, float_array, is_concrete, node_indices, shown
+from jaxshell.model.sets import OfSets, SetName, nodes_or_name
+from jaxshell.numerics.checks import check_finite, check_kind, float_array, is_concrete, shown
 from jaxshell.numerics.frozen import Frozen
 
 DOFS = ("ux", "uy", "uz", "rx", "ry", "rz")
 ALL = DOFS
 
 
-class Support(eqx.Module):
+class Support(OfSets):
     """Hold degrees of freedom of nodes, in global axes.
 
     Arguments:
-        nodes: node indices.
+        nodes: node indices, or the name of a set.
         dofs: names out of ux, uy, uz (displacements) and rx, ry, rz (rotations about the global axes). A rotation
             that is held is left out of every step's turn. Where ONE is held and a node turns about both others,
             where that leads depends on the steps, with the second order of the turn: hold two (a hinge) or three.
@@ -31,13 +34,15 @@ class Support(eqx.Module):
     from zero.
     """
 
-    nodes: Frozen = eqx.field(static=True)
+    sets: ClassVar[dict[str, str]] = {"nodes": "node"}
+
+    nodes: Frozen | SetName = eqx.field(static=True)
     dofs: tuple[str, ...] = eqx.field(static=True)
     displacement: Float[jax.Array, "*d"] | None
     history: History | None
 
     def __init__(self, nodes, dofs=ALL, displacement=None, history=None):
-        self.nodes = Frozen(node_indices("support nodes", nodes))
+        self.nodes = nodes_or_name("support nodes", nodes)
         if not isinstance(dofs, str | list | tuple):
             raise ValueError(f"A support's dofs must be names out of {', '.join(DOFS)}, but are {shown(dofs)}.")
         self.dofs = (dofs,) if isinstance(dofs, str) else tuple(dofs)
@@ -62,7 +67,8 @@ class Support(eqx.Module):
             raise ValueError(f"A support names a degree of freedom twice: {', '.join(self.dofs)}.")
         if self.displacement is not None and self.history is not None:
             check_finite("prescribed displacement", self.displacement)
-            if self.displacement.shape not in ((), (len(self.dofs),), self.dof_numbers.shape):
+            known = [()] if isinstance(self.nodes, SetName) else [self.dof_numbers.shape]
+            if self.displacement.shape not in ((), (len(self.dofs),), *known):
                 raise ValueError(
                     f"prescribed displacement must be one value or one for each of {', '.join(self.dofs)}, but it has "
                     f"shape {self.displacement.shape}."

@@ -132,8 +132,8 @@ def _read_object(group) -> Any:
         else:
             fields[name] = _read_item(item)
     if kind is Mesh:  # as it was when it was stored
-        sets = fields.get("element_sets")
-        return Mesh(fields["nodes"], fields["connectivity"], coincident="allow", element_sets=sets)
+        nodes, triangles = fields.pop("nodes"), fields.pop("connectivity")
+        return Mesh(nodes, triangles, coincident="allow", **fields)
     return kind(**fields)
 
 

@@ -8,10 +8,12 @@ from jaxtyping import Array, Float
 
 from jaxshell.model.history import History
 from jaxshell.model.mesh import Mesh
-from jaxshell.numerics.checks import check_finite, check_kind
+from jaxshell.model.sets import OfSets, SetName
+from jaxshell.numerics.checks import check_finite, check_kind, check_shape
+from jaxshell.numerics.frozen import Frozen
 
 
-class Load(eqx.Module):
+class Load(OfSets):
     """A load of a scene, scaled by its history: a `DeadLoad`, or a `Contribution` that follows the motion."""
 
     kind: ClassVar[str]
@@ -46,8 +48,21 @@ def given_history(history: History | None) -> History:
     return history
 
 
-def check_vectors(name: str, value: Any, count: int) -> None:
-    """Raise ValueError unless `value` is one finite vector (3,) or one for each of `count`."""
+def check_vectors(name: str, value: Any, count: int | None) -> None:
+    """Raise ValueError unless `value` is one finite vector (3,) or one for each of `count`, where that is known."""
     check_finite(name, value)
-    if value.shape not in ((3,), (count, 3)):
+    if count is None:
+        check_shape(name, value, (3,) if value.ndim < 2 else (None, 3))
+    elif value.shape not in ((3,), (count, 3)):
         raise ValueError(f"{name} must have shape (3,) or ({count}, 3), but it has shape {value.shape}.")
+
+
+def number_of_elements(elements: Frozen | SetName | None, mesh: Mesh) -> int:
+    """How many elements of the mesh are meant; None is all. Raises ValueError for one that the mesh does not have."""
+    if elements is None:
+        return mesh.n_elements
+    outside = (elements.array < 0) | (elements.array >= mesh.n_elements)
+    if outside.any():
+        bad = elements.array[outside][0]
+        raise ValueError(f"elements names element {bad}, but the mesh has elements 0 to {mesh.n_elements - 1}.")
+    return len(elements.array)

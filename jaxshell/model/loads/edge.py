@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from jaxshell.model.history import History
 from jaxshell.model.loads.base import DeadLoad, check_vectors, given_history
+from jaxshell.model.sets import SetName, size_of
 from jaxshell.numerics.checks import check_shape, float_array, node_indices, whole_array
 from jaxshell.numerics.frozen import Frozen
 
@@ -17,7 +18,7 @@ class EdgeForce(DeadLoad):
     """A force with a fixed direction per reference length of edges.
 
     Arguments:
-        edges: (k, 2) node indices of the edges' ends.
+        edges: (k, 2) node indices of the edges' ends, or the name of a set of sides.
         force: (3,) or (k, 3) [force/length]; half of each edge's resultant goes to each of its ends.
     """
 
@@ -25,23 +26,23 @@ class EdgeForce(DeadLoad):
     value: ClassVar[str] = "force"
     acts_on: ClassVar[str] = "edges"
 
-    edges: Frozen = eqx.field(static=True)
+    sets: ClassVar[dict[str, str]] = {"edges": "side"}
+
+    edges: Frozen | SetName = eqx.field(static=True)
     force: Float[jax.Array, "*k 3"]
     history: History
 
     def __init__(self, edges, force, history: History | None = None):
-        edges = edges.array if isinstance(edges, Frozen) else whole_array("edges", edges, "pairs of node indices")
-        check_shape("edges", edges, (None, 2))
-        node_indices("edge nodes", edges.ravel())
-        self.edges = Frozen(edges)
+        self.edges = _edges_or_name(edges)
         self.force = float_array(force, "edge force")
         self.history = given_history(history)
 
     def __check_init__(self):
-        check_vectors("edge force", self.force, self.edges.array.shape[0])
+        check_vectors("edge force", self.force, size_of(self.edges))
 
     @property
     def nodes(self) -> Frozen:
+        """Both ends of all edges."""
         return Frozen(self.edges.array.ravel())
 
     def nodal(self, x0, triangles, mass_per_area) -> Float[jax.Array, "n 6"]:
@@ -50,3 +51,12 @@ class EdgeForce(DeadLoad):
         length = jnp.linalg.norm(x0[second] - x0[first], axis=1, keepdims=True)
         share = 0.5 * length * jnp.broadcast_to(self.force, length.shape[:1] + (3,))
         return jnp.zeros((x0.shape[0], 6)).at[first, :3].add(share).at[second, :3].add(share)
+
+
+def _edges_or_name(edges) -> Frozen | SetName:
+    if isinstance(edges, str):
+        return SetName(edges)
+    edges = edges.array if isinstance(edges, Frozen) else whole_array("edges", edges, "pairs of node indices")
+    check_shape("edges", edges, (None, 2))
+    node_indices("edge nodes", edges.ravel())
+    return Frozen(edges)

@@ -9,17 +9,20 @@ alone. While e⁰ changes in time, the work -Δe⁰·f, f the stresses, is done 
 import abc
 from typing import Any, ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxshell.model.history import History
-from jaxshell.model.loads.base import Load, given_history
+from jaxshell.model.loads.base import Load, given_history, number_of_elements
 from jaxshell.model.materials.base import strain_rotation
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sections import AnySection, Layers
 from jaxshell.model.sections.direction import angles, check_direction, given_direction
+from jaxshell.model.sets import SetName, elements_or_name
 from jaxshell.numerics.checks import check_finite, check_one_or_each, float_array
+from jaxshell.numerics.frozen import Frozen
 
 _UNKNOWN = "Thermal needs a section that knows its expansion; GeneralSection has thermal= for it."
 
@@ -28,6 +31,15 @@ class InitialStrains(Load):
     """What gives every element a strain and a curvature at which it is free of stress, times a history."""
 
     acts_on: ClassVar[str] = "shell"
+    sets: ClassVar[dict[str, str]] = {"elements": "element"}
+
+    elements: eqx.AbstractVar[Frozen | SetName | None]
+
+    def _on_all(self, values: Float[Array, "*m c"], mesh: Mesh) -> Float[Array, "m c"]:
+        """Values of the elements that are meant, one or one for each, as those of all: zero at the others."""
+        if self.elements is None:
+            return jnp.broadcast_to(values, (mesh.n_elements, values.shape[-1]))
+        return jnp.zeros((mesh.n_elements, values.shape[-1])).at[self.elements.array].set(values)
 
     def check_section(self, section: AnySection, mesh: Mesh) -> None:
         """Raise ValueError where it has nothing to act on in the section."""
@@ -51,6 +63,8 @@ class InitialStrain(InitialStrains):
             with κxx alone becomes a circle of radius 1/κxx about the side against which the normals point.
         history: factor in time; None is 1 from the start.
         direction: the axis x of the components, as in `jaxshell.Laminate`.
+        elements: numbers of the elements that have it, or the name of a set; None is all. Values are then one, or one
+            for each of them.
 
     All floats differentiate. Raises ValueError for other shapes, NaN, and a direction normal to an element.
     """
@@ -62,6 +76,7 @@ class InitialStrain(InitialStrains):
     curvature: Float[jax.Array, "*m 3"]
     history: History
     direction: Any
+    elements: Frozen | SetName | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -69,10 +84,12 @@ class InitialStrain(InitialStrains):
         curvature=(0.0, 0.0, 0.0),
         history: History | None = None,
         direction=(1.0, 0.0, 0.0),
+        elements=None,
     ):
         self.strain, self.curvature = float_array(strain, "strain"), float_array(curvature, "curvature")
         self.history = given_history(history)
         self.direction = given_direction(direction)
+        self.elements = elements_or_name(elements)
 
     def __check_init__(self):
         for name in ("strain", "curvature"):
@@ -82,19 +99,17 @@ class InitialStrain(InitialStrains):
             check_finite(name, value)
 
     def check(self, mesh: Mesh) -> None:
+        count = number_of_elements(self.elements, mesh)
         for name in ("strain", "curvature"):
             value = getattr(self, name)
-            if value.shape not in ((3,), (mesh.n_elements, 3)):
-                raise ValueError(
-                    f"{name} must be one (3,) or {mesh.n_elements} of them, but it has shape {value.shape}."
-                )
+            if value.shape not in ((3,), (count, 3)):
+                raise ValueError(f"{name} must be one (3,) or {count} of them, but it has shape {value.shape}.")
         check_direction(self.direction, mesh)
 
     def strains(self, section: AnySection | None, mesh: Mesh):
         turn = jax.vmap(strain_rotation)(-angles(self.direction, mesh))
         return tuple(
-            jnp.einsum("mij,mj->mi", turn, jnp.broadcast_to(value, (mesh.n_elements, 3)))
-            for value in (self.strain, self.curvature)
+            jnp.einsum("mij,mj->mi", turn, self._on_all(value, mesh)) for value in (self.strain, self.curvature)
         )
 
     def in_layers(self, mesh: Mesh, layers: Layers, z: Float[Array, "m p"]) -> Float[Array, "m p 3"]:
@@ -109,6 +124,7 @@ class Thermal(InitialStrains):
         temperature: T on the surface of the nodes, one value or (m,) one per element [temperature].
         gradient: g through the thickness, along the normals, likewise [temperature/length].
         history: factor in time; None is 1 from the start.
+        elements: numbers of the elements that are heated, or the name of a set; None is all.
 
     Differentiable in all floats. Raises ValueError for a section that does not know its expansion.
     """
@@ -119,10 +135,12 @@ class Thermal(InitialStrains):
     temperature: Float[jax.Array, "*m"]
     gradient: Float[jax.Array, "*m"]
     history: History
+    elements: Frozen | SetName | None = eqx.field(static=True)
 
-    def __init__(self, temperature, gradient=0.0, history: History | None = None):
+    def __init__(self, temperature, gradient=0.0, history: History | None = None, elements=None):
         self.temperature, self.gradient = float_array(temperature, "temperature"), float_array(gradient, "gradient")
         self.history = given_history(history)
+        self.elements = elements_or_name(elements)
 
     def __check_init__(self):
         for name in ("temperature", "gradient"):
@@ -155,12 +173,12 @@ class Thermal(InitialStrains):
         return (T[:, None] + g[:, None] * z)[:, :, None] * layers.expansion
 
     def _each(self, mesh: Mesh) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-        found = []
+        count, found = number_of_elements(self.elements, mesh), []
         for name in ("temperature", "gradient"):
             value = getattr(self, name)
-            if value.shape not in ((), (mesh.n_elements,)):
-                raise ValueError(f"{name} must be one value or {mesh.n_elements}, but it has shape {value.shape}.")
-            found.append(jnp.broadcast_to(value, (mesh.n_elements,)))
+            if value.shape not in ((), (count,)):
+                raise ValueError(f"{name} must be one value or {count}, but it has shape {value.shape}.")
+            found.append(self._on_all(value[..., None], mesh)[:, 0])
         return found[0], found[1]
 
 

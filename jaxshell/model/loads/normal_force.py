@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 from jaxshell.model.contribution import Contribution, Place, Surface
 from jaxshell.model.history import History
 from jaxshell.model.loads.base import Load, given_history
-from jaxshell.numerics.checks import check_finite, float_array, node_indices
+from jaxshell.model.sets import SetName, nodes_or_name, size_of
+from jaxshell.numerics.checks import check_finite, float_array
 from jaxshell.numerics.frozen import Frozen
 from jaxshell.numerics.rotations import skew
 
@@ -20,7 +21,7 @@ class NormalForce(Load, Contribution):
     """Forces on nodes along the shell's normal, which turn with the nodes, as a thruster's does.
 
     Arguments:
-        nodes: node indices.
+        nodes: node indices, or the name of a set.
         magnitude: one value for each of the nodes, or (k,) [force]; positive along the elements' normals.
             Differentiable.
         history: how it varies in time; None is constant.
@@ -34,19 +35,21 @@ class NormalForce(Load, Contribution):
     kind: ClassVar[str] = "normal force"
     value: ClassVar[str] = "magnitude"
 
-    nodes: Frozen = eqx.field(static=True)
+    sets: ClassVar[dict[str, str]] = {"nodes": "node"}
+
+    nodes: Frozen | SetName = eqx.field(static=True)
     magnitude: Float[jax.Array, "*k"]
     history: History
 
     def __init__(self, nodes, magnitude, history: History | None = None):
-        self.nodes = Frozen(node_indices("normal force nodes", nodes))
+        self.nodes = nodes_or_name("normal force nodes", nodes)
         self.magnitude = float_array(magnitude, "normal force")
         self.history = given_history(history)
 
     def __check_init__(self):
         check_finite("normal force", self.magnitude)
-        count = self.nodes.array.size
-        if self.magnitude.shape not in ((), (count,)):
+        count = size_of(self.nodes)
+        if self.magnitude.shape not in ((), (count,)) and (count is not None or self.magnitude.ndim != 1):
             raise ValueError(f"magnitude must be one value or {count}, but has shape {self.magnitude.shape}.")
 
     def groups(self, triangles: np.ndarray) -> Frozen:

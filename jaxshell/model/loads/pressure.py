@@ -2,6 +2,7 @@
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,8 +10,9 @@ from jaxtyping import Array, Float
 
 from jaxshell.model.contribution import Contribution, Place, Surface
 from jaxshell.model.history import History
-from jaxshell.model.loads.base import Load, given_history
+from jaxshell.model.loads.base import Load, given_history, number_of_elements
 from jaxshell.model.mesh import Mesh
+from jaxshell.model.sets import SetName, elements_or_name
 from jaxshell.numerics.checks import check_finite, check_one_or_each, float_array
 from jaxshell.numerics.frozen import Frozen
 from jaxshell.numerics.rotations import skew
@@ -19,35 +21,45 @@ from jaxshell.numerics.rotations import skew
 class Pressure(Load, Contribution):
     """A pressure that follows the deformed surface, positive along the elements' normals.
 
-    `pressure`: scalar or (m,) one per element [force/length²], acting on the deformed area. Raises ValueError for
-    anything but finite numbers.
+    Arguments:
+        pressure: scalar, or (m,) one for each of the elements [force/length²], acting on the deformed area.
+        history: how it varies in time; None is constant.
+        elements: numbers of the elements that it acts on, or the name of a set; None is all.
+
+    Raises ValueError for anything but finite numbers.
     """
 
     kind: ClassVar[str] = "pressure"
     value: ClassVar[str] = "pressure"
     acts_on: ClassVar[str] = "shell"
 
+    sets: ClassVar[dict[str, str]] = {"elements": "element"}
+
     pressure: Float[jax.Array, "*m"]
     history: History
+    elements: Frozen | SetName | None = eqx.field(static=True)
 
-    def __init__(self, pressure, history: History | None = None):
+    def __init__(self, pressure, history: History | None = None, elements=None):
         self.pressure = float_array(pressure, "pressure")
         self.history = given_history(history)
+        self.elements = elements_or_name(elements)
 
     def __check_init__(self):
         check_one_or_each("pressure", self.pressure)
         check_finite("pressure", self.pressure)
 
     def check(self, mesh: Mesh) -> None:
-        if self.pressure.shape not in ((), (mesh.n_elements,)):
-            raise ValueError(f"pressure must be one value or {mesh.n_elements}, but has shape {self.pressure.shape}.")
+        count = number_of_elements(self.elements, mesh)
+        if self.pressure.shape not in ((), (count,)):
+            raise ValueError(f"pressure must be one value or {count}, but has shape {self.pressure.shape}.")
 
     def groups(self, triangles: np.ndarray) -> Frozen:
-        return Frozen(triangles)
+        return Frozen(triangles if self.elements is None else triangles[self.elements.array])
 
     def data(self, surface: Surface) -> Float[Array, " m"]:
-        """The pressure on every element."""
-        return jnp.broadcast_to(self.pressure, surface.triangles.shape[:1])
+        """The pressure on every element that it acts on."""
+        count = len(surface.triangles) if self.elements is None else len(self.elements.array)
+        return jnp.broadcast_to(self.pressure, (count,))
 
     def force(self, data, place: Place) -> Float[Array, "3 6"]:
         return pressure_force(place.x, self.history(place.time) * data)
