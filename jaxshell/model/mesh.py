@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxshell.model import repair
+from jaxshell.model.cells import Cells, Numbering, surface
 from jaxshell.model.mesh_file import read_cells
 from jaxshell.model.sets import Sets
 from jaxshell.numerics.checks import (
@@ -34,7 +35,8 @@ _SIZES = (1e-50, 1e50)
 
 
 class _OfMeshOrArrays:
-    """A cure as a method: `Mesh.cure(nodes, triangles, ...)`, or `mesh.cure(...)` of a mesh that exists."""
+    """A cure as a method: `Mesh.cure(nodes, triangles, ...)`, or `mesh.cure(...)` of a mesh that exists, whose sets it
+    keeps."""
 
     def __init__(self, function):
         self.function, self.__doc__ = function, function.__doc__
@@ -42,28 +44,60 @@ class _OfMeshOrArrays:
     def __get__(self, instance, owner) -> Any:
         if instance is None:
             return self.function
-        return lambda *arguments, **named: self.function(instance.nodes, instance.triangles, *arguments, **named)
+        sets = {name: getattr(instance, name) for name in ("node_sets", "element_sets", "side_sets")}
+        return lambda *arguments, **named: self.function(
+            instance.nodes, instance.triangles, *arguments, **(sets | named)
+        )
 
 
-def _merged(nodes, triangles, tolerance, *, orient: bool = False, coincident: str = "error") -> "Mesh":
+def _merged(
+    nodes, triangles, tolerance, *, orient: bool = False, coincident: str = "error", node_sets: Mapping | None = None,
+    element_sets: Mapping | None = None, side_sets: Mapping | None = None,
+) -> "Mesh":  # fmt: skip
     """The mesh with all nodes no further than `tolerance` [length] apart made one, at the place of the first.
 
     For faces that touch without sharing nodes, as CAD programs write them. Nodes that no triangle uses are dropped.
-    `orient` and `coincident` as in `Mesh.read`. Raises ValueError where the tolerance reaches an edge.
+    `orient` and `coincident` as in `Mesh.read`, sets as in `Mesh`: they follow. Raises ValueError where the tolerance
+    reaches an edge.
     """
     check_positive_number("tolerance", tolerance)
     check_switch("orient", orient)
-    nodes, triangles = repair.merged(*_arrays(nodes, triangles), float(tolerance))
-    return Mesh(nodes, repair.oriented(triangles) if orient else triangles, coincident=coincident)
+    nodes, triangles = _arrays(nodes, triangles)
+    node_sets, side_sets = Sets("node", node_sets, len(nodes)), Sets("side", side_sets, len(nodes), ends=2)
+    nodes, triangles, number = repair.merged(nodes, triangles, float(tolerance))
+    return Mesh(
+        nodes,
+        repair.oriented(triangles) if orient else triangles,
+        coincident=coincident,
+        node_sets=_renumbered(node_sets, number),
+        element_sets=element_sets,
+        side_sets=_renumbered(side_sets, number),
+    )
 
 
-def _oriented(nodes, triangles, *, coincident: str = "error") -> "Mesh":
+def _renumbered(sets: Mapping, number: np.ndarray) -> dict[str, np.ndarray]:
+    """Sets of nodes, or of pairs of them, by the nodes' new numbers; without those that have none (-1)."""
+    found = {name: number[np.asarray(nodes)] for name, nodes in sets.items()}
+    return {name: nodes[(nodes.reshape(len(nodes), -1) >= 0).all(axis=1)] for name, nodes in found.items()}
+
+
+def _oriented(
+    nodes, triangles, *, coincident: str = "error", node_sets: Mapping | None = None,
+    element_sets: Mapping | None = None, side_sets: Mapping | None = None,
+) -> "Mesh":  # fmt: skip
     """The mesh with triangles turned where neighbours disagree on the normal; each part goes by its first triangle.
 
-    Raises ValueError for a surface that has no orientation, such as a Möbius strip.
+    Sets as in `Mesh`. Raises ValueError for a surface that has no orientation, such as a Möbius strip.
     """
     nodes, triangles = _arrays(nodes, triangles)
-    return Mesh(nodes, repair.oriented(triangles), coincident=coincident)
+    return Mesh(
+        nodes,
+        repair.oriented(triangles),
+        coincident=coincident,
+        node_sets=node_sets,
+        element_sets=element_sets,
+        side_sets=side_sets,
+    )
 
 
 class Mesh(eqx.Module):
@@ -196,32 +230,78 @@ class Mesh(eqx.Module):
 
     @classmethod
     def read(
-        cls, path, *, quads: str = "split", merge: float | None = None, orient: bool = False, coincident: str = "error"
+        cls,
+        path,
+        *,
+        quads: str = "split",
+        second_order: str = "error",
+        merge: float | None = None,
+        orient: bool = False,
+        coincident: str = "error",
     ) -> "Mesh":
-        """Read the triangles and quads of a mesh file (Gmsh, VTK, STL, Abaqus, ...) with meshio.
+        """Read the triangles and quads of a mesh file (Gmsh, Abaqus, Nastran, VTK, STL, ...) and its sets.
 
         Arguments:
             quads: "split" cuts each along its shorter diagonal, "error" refuses a file that has any.
+            second_order: "split" cuts cells of 6, 8 and 9 nodes into triangles along the nodes on their sides, "error"
+                refuses a file that has any.
             merge: a tolerance [length] within which nodes are made one, as `Mesh.merged` does; None merges none.
             orient: turn triangles so that neighbours agree on the normal, as `Mesh.oriented` does.
             coincident: as in `Mesh`.
 
-        Nodes that belong to no triangle are dropped; of points and lines that are left out a warning tells. Raises
-        ImportError without meshio (`pip install meshio`), FileNotFoundError, and ValueError naming the file for a
-        broken one, for other cells (second order, solids) and for one without triangles.
+        Nodes that belong to no triangle are dropped, elements keep the file's order, and sets follow:
+        `docs/meshes.md` lists where each kind of file has them. A warning names what of the file is left out. Raises
+        FileNotFoundError, and ValueError naming the file for a broken one, for other cells (second order, solids) and
+        for one without triangles.
         """
-        check_choice("quads", quads, ("split", "error"))
-        check_choice("coincident", coincident, ("error", "allow"))
-        check_switch("orient", orient)
-        if merge is not None:
-            check_positive_number("merge", merge)
-        nodes, triangles = read_cells(path, quads)
-        try:
-            if merge is not None:
-                return cls.merged(nodes, triangles, merge, orient=orient, coincident=coincident)
-            return cls(nodes, repair.oriented(triangles) if orient else triangles, coincident=coincident)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
+        return mesh_of_cells(
+            read_cells(path),
+            str(path),
+            quads=quads,
+            second_order=second_order,
+            merge=merge,
+            orient=orient,
+            coincident=coincident,
+            stacklevel=2,
+        )[0]
+
+
+def mesh_of_cells(
+    cells: Cells,
+    where: str,
+    *,
+    quads: str = "split",
+    second_order: str = "error",
+    merge: float | None = None,
+    orient: bool = False,
+    coincident: str = "error",
+    stacklevel: int = 1,
+) -> tuple[Mesh, Numbering]:
+    """The mesh that a file's cells make, as `Mesh.read` makes it, and where the file's points and cells are in it.
+
+    `where` names the file in messages; a warning of what is left out points `stacklevel` callers up.
+    """
+    check_choice("quads", quads, ("split", "error"))
+    check_choice("second_order", second_order, ("split", "error"))
+    check_choice("coincident", coincident, ("error", "allow"))
+    check_switch("orient", orient)
+    if merge is not None:
+        check_positive_number("merge", merge)
+    found = surface(
+        cells, where, quads=quads, second_order=second_order, merge=merge, orient=orient, stacklevel=stacklevel + 1
+    )
+    try:
+        mesh = Mesh(
+            found.nodes,
+            found.triangles,
+            coincident=coincident,
+            node_sets=found.node_sets,
+            element_sets=found.element_sets,
+            side_sets=found.side_sets,
+        )
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from error
+    return mesh, found.numbering
 
 
 def grid(first, second) -> tuple[np.ndarray, np.ndarray]:

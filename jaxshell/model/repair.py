@@ -1,4 +1,4 @@
-"""Cures of meshes as programs write them: nodes that coincide are merged, triangles turned, quads cut in two.
+"""Cures of meshes as programs write them: nodes that coincide are merged, triangles turned, larger cells cut.
 
 All on arrays, since a mesh that needs a cure is refused by `Mesh`: nodes (n, 3) [length], triangles (m, 3) node indices
 from 0. None takes more than n log n operations.
@@ -88,10 +88,10 @@ def coincident_nodes(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.concatenate(found)
 
 
-def merged(nodes: np.ndarray, triangles: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+def merged(nodes: np.ndarray, triangles: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Nodes and triangles with nodes no further apart than `tolerance` made one, the first of them; unused ones go.
 
-    Raises ValueError where the tolerance reaches the shortest edge.
+    And (n,) the number that each node has afterwards, -1 for those that go. Raises ValueError where the tolerance reaches the shortest edge.
     """
     shortest = shortest_edges(nodes, triangles)
     if not tolerance < shortest.min():
@@ -107,7 +107,8 @@ def merged(nodes: np.ndarray, triangles: np.ndarray, tolerance: float) -> tuple[
         if np.array_equal(leader, np.arange(len(kept))):
             break
         group = kept[leader][np.searchsorted(kept, group)]
-    return only_used(nodes, group[triangles])
+    nodes, triangles, number = only_used(nodes, group[triangles])
+    return nodes, triangles, number[group]
 
 
 def _leaders(nodes: np.ndarray, tolerance: float) -> np.ndarray:
@@ -121,17 +122,19 @@ def _leaders(nodes: np.ndarray, tolerance: float) -> np.ndarray:
     return np.unique(number, return_index=True)[1][number]
 
 
-def only_used(nodes: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Without the nodes that belong to no triangle."""
+def only_used(nodes: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Without the nodes that belong to no triangle; and (n,) the number that each has now, -1 for those."""
     used, compact = np.unique(triangles, return_inverse=True)
-    return nodes[used], compact.reshape(triangles.shape)
+    number = np.full(len(nodes), -1)
+    number[used] = np.arange(len(used))
+    return nodes[used], compact.reshape(triangles.shape), number
 
 
-def split_quads(nodes: np.ndarray, quads: np.ndarray) -> np.ndarray:
-    """(2q, 3) triangles of quads (q, 4), each cut along its shorter diagonal; of two like ones that from corner 1 to 3.
+def split_quads(nodes: np.ndarray, quads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(k, 3) triangles of quads (q, 4), each cut along its shorter diagonal, and (k,) the quad that each is of.
 
-    Where the shorter one lies outside of a quad that is not convex, the other. A quad with two neighbouring corners in
-    one node is a triangle.
+    Of two like diagonals that from corner 1 to 3. Where the shorter one lies outside of a quad that is not convex, the
+    other. A quad with two neighbouring corners in one node is a triangle.
     """
     x = nodes[quads]
     one, other = (np.linalg.norm(x[:, b] - x[:, a], axis=1) for a, b in ((0, 2), (1, 3)))
@@ -144,7 +147,7 @@ def split_quads(nodes: np.ndarray, quads: np.ndarray) -> np.ndarray:
     side = (quads == np.roll(quads, 1, axis=1)).sum(axis=1)
     is_triangle = (distinct.sum(axis=1) == 2) & (side == 1)
     empty = (triangles == np.roll(triangles, 1, axis=2)).any(axis=2) & is_triangle[:, None]
-    return triangles[~empty]
+    return triangles[~empty], np.nonzero(~empty)[0]
 
 
 def _opposite(x: np.ndarray) -> np.ndarray:
