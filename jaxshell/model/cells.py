@@ -1,6 +1,6 @@
 """Cells as mesh files hold them, made into the triangles of a shell; sets of points, cells and sides follow.
 
-Kinds are named as meshio and meshlane name them: vertex, line, line3, triangle, quad, triangle6, quad8, quad9, tetra, ...
+Kinds are named as meshlane names them: vertex, line, line3, triangle, quad, triangle6, quad8, quad9, tetra, ...
 """
 
 import warnings
@@ -18,8 +18,16 @@ _SECOND_ORDER = {
     "quad9": ([], [[0, 4, 8, 7], [4, 1, 5, 8], [8, 5, 2, 6], [7, 8, 6, 3]]),
 }
 """The triangles and quads between the nodes of a cell; those between its corners have the middle ones on its sides."""
-_LINES = {"line": [[0, 1]], "line3": [[0, 2], [2, 1]], "line4": [[0, 2], [2, 3], [3, 1]]}
-_HARMLESS = ("vertex", *_LINES)
+LINES = {"line": [[0, 1]], "line3": [[0, 2], [2, 1]], "line4": [[0, 2], [2, 3], [3, 1]]}
+SIDES = {
+    kind: [
+        [[i, i + corners], [i + corners, (i + 1) % corners]] if kind in _SECOND_ORDER else [[i, (i + 1) % corners]]
+        for i in range(corners)
+    ]
+    for kind, corners in (("triangle", 3), ("quad", 4), ("triangle6", 3), ("quad8", 4), ("quad9", 4))
+}
+"""The sides of a cell, in the order of its corners: one edge each, or two that meet in the side's node."""
+_HARMLESS = ("vertex", *LINES)
 """Cells of lower dimension, which mark points and curves of the geometry."""
 
 
@@ -34,6 +42,7 @@ class Cells:
         element_sets: {name: numbers of cells}, which are counted through all blocks. Those of a set that are lines make
             a side set of its name, and a node set where no other has the name; those that are points a node set.
         side_sets: {name: (k, 2) points}, edges of cells, in either order.
+        notes: what of the file could not be taken; a warning tells of it.
     """
 
     points: np.ndarray
@@ -41,6 +50,7 @@ class Cells:
     node_sets: Mapping[str, np.ndarray] = field(default_factory=dict)
     element_sets: Mapping[str, np.ndarray] = field(default_factory=dict)
     side_sets: Mapping[str, np.ndarray] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -82,8 +92,8 @@ def surface(
 ) -> Surface:
     """The shell that a file's triangles and quads make; elements keep the order of their cells.
 
-    `where` names the file in messages. `quads`, `second_order`, `merge` and `orient` as in `Mesh.read`. A warning names
-    cells that are left out, and sets of which all or a part is. Raises ValueError for cells that are no part of a shell.
+    `where` names the file in messages. `quads`, `second_order`, `merge` and `orient` as in `Mesh.read`. A warning
+    names cells that are left out, and sets of which all or a part is. Raises ValueError for cells that make no shell.
     """
     points = _points(cells.points, where)
     _check_kinds(cells.blocks, where, quads, second_order)
@@ -98,7 +108,7 @@ def surface(
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
     numbering = Numbering(number, first, (agreed != triangles).any(axis=1))
-    losses = _Losses()
+    losses = _Losses(cells.notes)
     sets = _sets(cells, numbering, agreed, losses)
     losses.add_cells(cells)
     losses.warn(where, stacklevel + 1)
@@ -196,8 +206,8 @@ def _cut_block(points, cells: np.ndarray, triangles: list, quads: list) -> tuple
 class _Losses:
     """What of a file is not in the mesh: cells, whole sets, parts of sets."""
 
-    def __init__(self):
-        self.cells, self.whole, self.partly = "", [], []
+    def __init__(self, notes: Sequence[str]):
+        self.notes, self.cells, self.whole, self.partly = notes, "", [], []
 
     def add_set(self, what: str, name: str, kept: int, of: int, things: str) -> None:
         if not kept:
@@ -227,6 +237,7 @@ class _Losses:
             said.append(f"Left out, since no triangle or quad has any of it: {', '.join(self.whole)}.")
         if self.partly:
             said.append(f"Left out of sets, since no triangle or quad has it: {', '.join(self.partly)}.")
+        said += [f"{note[0].upper()}{note[1:]}." for note in self.notes]
         if said:
             warnings.warn(f"{where}: {' '.join(said)}", stacklevel=stacklevel + 1)
 
@@ -259,8 +270,8 @@ def _by_dimension(blocks, numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     start = 0
     for kind, block in blocks:
         here = numbers[(numbers >= start) & (numbers < start + len(block))]
-        if kind in _LINES:
-            lines.append(block[here - start][:, _LINES[kind]].reshape(-1, 2))
+        if kind in LINES:
+            lines.append(block[here - start][:, LINES[kind]].reshape(-1, 2))
         elif kind == "vertex":
             corners.append(block[here - start].ravel())
         else:

@@ -91,7 +91,8 @@ def coincident_nodes(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 def merged(nodes: np.ndarray, triangles: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Nodes and triangles with nodes no further apart than `tolerance` made one, the first of them; unused ones go.
 
-    And (n,) the number that each node has afterwards, -1 for those that go. Raises ValueError where the tolerance reaches the shortest edge.
+    And (n,) the number that each node has afterwards, -1 for those that go. Raises ValueError where the tolerance
+    reaches the shortest edge.
     """
     shortest = shortest_edges(nodes, triangles)
     if not tolerance < shortest.min():

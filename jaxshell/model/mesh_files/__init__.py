@@ -1,0 +1,1 @@
+"""Mesh files, a format each: points, cells and sets as the file has them."""
