@@ -1,0 +1,137 @@
+"""Mesh files through meshlane, which knows many formats: what it found, and errors that name the file."""
+
+import contextlib
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxshell.model.cells import Cells
+
+_STREAMED = {"ply": "rb", "obj": "r", "off": "r", "su2": "r", "avsucd": "r", "tecplot": "r", "wkt": "r", "mdpa": "rb"}
+"""Formats whose reader takes an open file, and whether of bytes or text: some never stop at the file's end."""
+_GROUPS = {"gmsh:physical", "medit:ref", "su2:tag", "obj:group_ids"}
+"""Values of cells that number their groups. Those of other whole numbers are called by the name of the values too."""
+_NO_GROUPS = {"gmsh:geometrical", "cell_tags", "vtkOriginalCellIds", "GlobalElementId", "GlobalCellIds"}
+_MOST_GROUPS = 200
+"""Whole numbers that take more values are no groups but numbers of cells."""
+
+
+class Broken(ValueError):
+    """A mesh file that cannot be read; the text names it and says why."""
+
+    def __init__(self, path, reason: str = ""):
+        super().__init__(
+            f"{path} cannot be read as a mesh file: it is empty, broken, or of another kind than its name says"
+            f"{f' ({reason})' if reason else ''}."
+        )
+
+
+def endings() -> list[str]:
+    """Ends of names that meshlane knows."""
+    import meshlane
+
+    return sorted(end for end, formats in meshlane.extension_to_filetypes.items() if formats != ["svg"])
+
+
+def read_cells(path) -> Cells:
+    """What a file holds, with those of its sets that meshlane finds. Raises `Broken`."""
+    import meshlane
+
+    path = Path(path)
+    end = next(end for end in reversed(endings()) if path.name.lower().endswith(end))
+    return cells_of(*read(path, meshlane.extension_to_filetypes[end][0]))
+
+
+def read(path: Path, file_format: str, content: Path | None = None) -> tuple[Any, tuple[str, ...]]:
+    """A `meshlane.Mesh` and what meshlane warned of. `content`: where the content of `path` is. Raises `Broken`."""
+    import meshlane
+
+    heard = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(heard), contextlib.redirect_stderr(heard), contextlib.ExitStack() as stack:
+            source: Any = content or path
+            if file_format in _STREAMED:
+                source = stack.enter_context(_Bytes(io.FileIO(source)))
+                source = source if _STREAMED[file_format] == "rb" else _Text(source, encoding="utf-8", errors="replace")
+            found = meshlane.read(source, file_format)
+    # meshlane's readers leave by whatever a broken file leads them into, SystemExit among it.
+    except (Exception, SystemExit) as error:
+        known = isinstance(error, meshlane.ReadError | SystemExit)
+        raise Broken(path, _said(heard.getvalue() or str(error)) if known else "") from error
+    return found, tuple(filter(None, [_said(heard.getvalue())]))
+
+
+def _said(text: str) -> str:
+    """What meshlane printed, in one line; not that it could not read the file, which is said anyway."""
+    lines = [" ".join(line.split()) for line in text.replace("Warning:", "").splitlines()]
+    return " ".join(line for line in lines if line and not line.startswith("Error:")).rstrip(".")[:300]
+
+
+class _Ending:
+    """A file whose end is an error for who goes on reading there."""
+
+    ends = 0
+
+    def readline(self, size=-1, /):
+        return self._counted(super().readline(size))  # pyright: ignore[reportAttributeAccessIssue]
+
+    def read(self, size=-1, /):
+        return self._counted(super().read(size))  # pyright: ignore[reportAttributeAccessIssue]
+
+    def _counted(self, found):
+        self.ends = 0 if found else self.ends + 1
+        if self.ends > 1000:
+            raise EOFError("The file ends too early.")
+        return found
+
+
+class _Bytes(_Ending, io.BufferedReader):
+    """Of bytes."""
+
+
+class _Text(_Ending, io.TextIOWrapper):
+    """Of text."""
+
+
+# --- sets ------------------------------------------------------------------------------------------------
+
+
+def cells_of(found: Any, notes: tuple[str, ...] = ()) -> Cells:
+    """Points, cells and sets of a `meshlane.Mesh`: its own sets, and cells that have the same whole number."""
+    blocks = [(block.type, np.asarray(block.data)) for block in found.cells]
+    start = np.cumsum([0, *(len(block) for _, block in blocks)])
+    element_sets = {}
+    for name, parts in found.cell_sets.items():
+        if not name.startswith("gmsh:"):
+            numbers = [
+                first + np.asarray(part, np.int64)
+                for first, part in zip(start, parts, strict=False)
+                if part is not None
+            ]
+            element_sets[name] = np.concatenate(numbers) if numbers else np.zeros(0, np.int64)
+    named = {int(tag): name for name, (tag, _) in _tags(found.field_data)}
+    for name, parts in found.cell_data.items():
+        for value, numbers in _groups(name, parts, int(start[-1])):
+            text = named.get(value, str(value)) if name in _GROUPS else f"{name} {value}"
+            element_sets.setdefault(text, numbers)
+    node_sets = {name: np.asarray(numbers, np.int64) for name, numbers in found.point_sets.items()}
+    return Cells(found.points, blocks, node_sets, element_sets, {}, notes)
+
+
+def _tags(field_data) -> list:
+    """Names of numbered groups, as meshlane keeps those of gmsh: [(name, (number, dimension))]."""
+    return [(name, tag) for name, tag in field_data.items() if np.shape(tag) == (2,)]
+
+
+def _groups(name: str, parts, count: int) -> list[tuple[int, np.ndarray]]:
+    """[(value, cells)] of values that number groups; of others none."""
+    values = np.concatenate([np.asarray(part).reshape(len(part), -1) for part in parts]) if len(parts) else None
+    if name in _NO_GROUPS or values is None or values.dtype.kind not in "iu" or values.shape != (count, 1):
+        return []
+    values = values.ravel()
+    different = np.unique(values)
+    if len(different) > _MOST_GROUPS or (len(different) == count > 1):
+        return []
+    return [(int(value), np.flatnonzero(values == value)) for value in different if value or name not in _GROUPS]
