@@ -4,6 +4,7 @@ from pathlib import Path
 
 from jaxshell.model.cells import Cells
 from jaxshell.model.mesh_files import abaqus, gmsh, library, nastran
+from jaxshell.model.mesh_files.files import is_file
 
 _READERS = {".msh": gmsh.read_cells, ".inp": abaqus.read_cells, **dict.fromkeys(nastran.ENDINGS, nastran.read_cells)}
 
@@ -18,11 +19,3 @@ def read_cells(path) -> Cells:
     if not str(path).lower().endswith(tuple(known)):
         raise ValueError(f"{path} is of no kind that is read, which the name's end tells: {', '.join(known)}.")
     return _READERS.get(Path(path).suffix.lower(), library.read_cells)(path)
-
-
-def is_file(path) -> bool:
-    """Whether `path` is a file; False for what cannot be a path at all."""
-    try:
-        return Path(path).is_file()
-    except (OSError, ValueError):
-        return False

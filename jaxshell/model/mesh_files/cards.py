@@ -7,7 +7,7 @@ its place. Keywords, options and names count the same in capitals and small lett
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from jaxshell.model.mesh_file import is_file
+from jaxshell.model.mesh_files.files import is_file, text_of
 
 
 @dataclass
@@ -142,16 +142,3 @@ def _included(card: Card, folder: Path, beside: Path, chain: tuple[Path, ...]) -
                 raise ValueError(f"{card.where}: {found.name} includes itself.")
             return found
     raise ValueError(f"{card.where}: there is no file {name} to include.")
-
-
-def text_of(path: Path) -> str:
-    """A text file's content. Raises FileNotFoundError, and ValueError for what is no text."""
-    if not is_file(path):
-        raise FileNotFoundError(f"There is no file {path}.")
-    content = path.read_bytes()
-    if b"\0" in content:
-        raise ValueError(f"{path} is no text file.")
-    try:
-        return content.decode("utf-8")
-    except UnicodeDecodeError:
-        return content.decode("cp1252", "replace")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxshell.model.cells import Cells
-from jaxshell.model.mesh_files.cards import text_of
+from jaxshell.model.mesh_files.files import is_file, text_of
 
 ENDINGS = (".bdf", ".nas", ".fem")
 _ELEMENTS = {
@@ -115,7 +115,7 @@ def _bulk_lines(path: Path, above: tuple[Path, ...]) -> Iterator[tuple[str, str]
         inner = path.parent / included[1]
         if inner.resolve() in (*above, path.resolve()):
             raise ValueError(f"{where}: {inner.name} includes itself.")
-        if not inner.is_file():
+        if not is_file(inner):
             raise ValueError(f"{where}: there is no file {included[1]} to include.")
         yield from _bulk_lines(inner, (*above, path.resolve()))
 
