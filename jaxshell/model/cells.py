@@ -248,6 +248,7 @@ def _sets(cells: Cells, numbering: Numbering, triangles: np.ndarray, losses: _Lo
     sides = dict(cells.side_sets)
     for name in list(elements):
         chosen, lines, corners = _by_dimension(cells.blocks, elements[name])
+        lines = _through_middles(lines, cells.blocks)
         if len(chosen) < len(elements[name]) and not len(chosen):
             del elements[name]
         else:
@@ -278,6 +279,19 @@ def _by_dimension(blocks, numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             chosen.append(here)
         start += len(block)
     return np.concatenate(chosen), np.concatenate(lines), np.concatenate(corners)
+
+
+def _through_middles(lines: np.ndarray, blocks) -> np.ndarray:
+    """(k, 2) lines, those from corner to corner of a cell of second order in two, through the node on its side."""
+    second = [block[:, SIDES[kind]].reshape(-1, 2, 2) for kind, block in blocks if kind in _SECOND_ORDER and len(block)]
+    if not second or not len(lines):
+        return lines
+    sides = np.concatenate(second)
+    count = int(max(sides.max(), lines.max())) + 1
+    ends, first = np.unique(_keys(sides[:, [0, 1], [0, 1]], count), return_index=True)
+    at = np.minimum(np.searchsorted(ends, _keys(lines, count)), len(ends) - 1)
+    whole = ends[at] == _keys(lines, count)
+    return np.concatenate([lines[~whole], sides[first[at[whole]]].reshape(-1, 2)])
 
 
 def _node_sets(sets: Mapping, number: np.ndarray, losses: _Losses) -> dict[str, np.ndarray]:

@@ -3,10 +3,18 @@
 from pathlib import Path
 
 from jaxshell.model.cells import Cells
-from jaxshell.model.mesh_files import abaqus, gmsh, library, nastran
+from jaxshell.model.mesh_files import abaqus, gmsh, library, nastran, polygons, vtk
 from jaxshell.model.mesh_files.files import is_file
 
-_READERS = {".msh": gmsh.read_cells, ".inp": abaqus.read_cells, **dict.fromkeys(nastran.ENDINGS, nastran.read_cells)}
+_READERS = {
+    ".msh": gmsh.read_cells,
+    ".inp": abaqus.read_cells,
+    **dict.fromkeys(nastran.ENDINGS, nastran.read_cells),
+    ".vtk": vtk.read_cells,
+    ".obj": polygons.read_obj,
+    ".off": polygons.read_off,
+}
+"""The others are read by meshlane."""
 
 
 def read_cells(path) -> Cells:

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from jaxshell.model.cells import Cells
-from jaxshell.model.mesh_files.library import Broken, cells_of, read
+from jaxshell.model.mesh_files.library import broken, cells_of, read
 
 _SAVED = "Save it in another: gmsh mesh.msh -save -format msh41 -o other.msh."
 _DIMENSION = {"vertex": 0, "line": 1, "triangle": 2, "quad": 2}
 
 
 def read_cells(path) -> Cells:
-    """What a file holds. Raises `Broken`, and ValueError for versions that are not read, partitions and parameters."""
+    """What a file holds. Raises ValueError, also for other versions of the format and for partitions."""
     path = Path(path)
     data = path.read_bytes()
     if not data.lstrip().startswith(b"$"):
@@ -26,25 +26,25 @@ def read_cells(path) -> Cells:
     try:
         version, binary, size = _version(data)
     except Exception as error:
-        raise Broken(path, "it does not begin with $MeshFormat") from error
+        raise broken(path, "it does not begin with $MeshFormat") from error
     if version not in ("2.2", "4.1"):
         raise ValueError(f"{path} is of MSH version {version}; versions 2.2 and 4.1 are read. {_SAVED}")
     if b"$PartitionedEntities" in data:
         raise ValueError(f"{path} is partitioned; only whole meshes are read. Save it in one piece.")
     for section in (b"Nodes", b"Elements"):
         if b"$End" + section not in data:
-            raise Broken(path, f"it has no section ${section.decode()}, or ends within it")
+            raise broken(path, f"it has no section ${section.decode()}, or ends within it")
     try:
         names = _names(_section(data, b"PhysicalNames")[0])
         entities, rest = _section(data, b"Entities")
         groups = _entities(entities, binary, size) if entities else {}
     except Exception as error:
-        raise Broken(path, "its $PhysicalNames or $Entities") from error
+        raise broken(path, "its $PhysicalNames or $Entities") from error
     found, notes = _read_rest(path, _section(rest, b"PhysicalNames")[1])
     try:
         return _with_groups(found, notes, names, groups, version)
     except ValueError as error:
-        raise Broken(path, "its elements") from error
+        raise broken(path, "its elements") from error
 
 
 def _version(data: bytes) -> tuple[str, bool, int]:
@@ -148,6 +148,8 @@ def _with_groups(found, notes: tuple[str, ...], names: dict, groups: dict, versi
     if version == "2.2":
         blocks, moved = _once(blocks, tags)
         members = {at: [moved[part] for part in parts] for at, parts in members.items()}
+    for at in names:
+        members.setdefault(at, [np.zeros(0, np.int64)])
     sets: dict[str, list[np.ndarray]] = {}
     for at, parts in members.items():
         sets.setdefault(_called(at, names, members), []).extend(parts)

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,23 +10,28 @@ import numpy as np
 
 from jaxshell.model.cells import Cells
 
-_STREAMED = {"ply": "rb", "obj": "r", "off": "r", "su2": "r", "avsucd": "r", "tecplot": "r", "wkt": "r", "mdpa": "rb"}
+_STREAMED = {"ply": "rb", "su2": "r", "avsucd": "r", "tecplot": "r", "wkt": "r", "mdpa": "rb"}
 """Formats whose reader takes an open file, and whether of bytes or text: some never stop at the file's end."""
-_GROUPS = {"gmsh:physical", "medit:ref", "su2:tag", "obj:group_ids"}
+_GROUPS = {"gmsh:physical", "medit:ref", "su2:tag", "CellEntityIds"}
 """Values of cells that number their groups. Those of other whole numbers are called by the name of the values too."""
-_NO_GROUPS = {"gmsh:geometrical", "cell_tags", "vtkOriginalCellIds", "GlobalElementId", "GlobalCellIds"}
+_NO_GROUPS = {
+    "gmsh:geometrical",
+    "cell_tags",
+    "obj:group_ids",
+    "vtkOriginalCellIds",
+    "GlobalElementId",
+    "GlobalCellIds",
+}
 _MOST_GROUPS = 200
 """Whole numbers that take more values are no groups but numbers of cells."""
 
 
-class Broken(ValueError):
-    """A mesh file that cannot be read; the text names it and says why."""
-
-    def __init__(self, path, reason: str = ""):
-        super().__init__(
-            f"{path} cannot be read as a mesh file: it is empty, broken, or of another kind than its name says"
-            f"{f' ({reason})' if reason else ''}."
-        )
+def broken(path, reason: str = "") -> ValueError:
+    """The error for a mesh file that cannot be read; the text names it and says why."""
+    return ValueError(
+        f"{path} cannot be read as a mesh file: it is empty, broken, or of another kind than its name says"
+        f"{f' ({reason})' if reason else ''}."
+    )
 
 
 def endings() -> list[str]:
@@ -36,7 +42,7 @@ def endings() -> list[str]:
 
 
 def read_cells(path) -> Cells:
-    """What a file holds, with those of its sets that meshlane finds. Raises `Broken`."""
+    """What a file holds, with those of its sets that meshlane finds. Raises ValueError."""
     import meshlane
 
     path = Path(path)
@@ -45,7 +51,7 @@ def read_cells(path) -> Cells:
 
 
 def read(path: Path, file_format: str, content: Path | None = None) -> tuple[Any, tuple[str, ...]]:
-    """A `meshlane.Mesh` and what meshlane warned of. `content`: where the content of `path` is. Raises `Broken`."""
+    """A `meshlane.Mesh` and what meshlane warned of. `content`: where the content of `path` is. Raises ValueError."""
     import meshlane
 
     heard = io.StringIO()
@@ -59,7 +65,7 @@ def read(path: Path, file_format: str, content: Path | None = None) -> tuple[Any
     # meshlane's readers leave by whatever a broken file leads them into, SystemExit among it.
     except (Exception, SystemExit) as error:
         known = isinstance(error, meshlane.ReadError | SystemExit)
-        raise Broken(path, _said(heard.getvalue() or str(error)) if known else "") from error
+        raise broken(path, _said(heard.getvalue() or str(error)) if known else "") from error
     return found, tuple(filter(None, [_said(heard.getvalue())]))
 
 
@@ -111,27 +117,28 @@ def cells_of(found: Any, notes: tuple[str, ...] = ()) -> Cells:
                 if part is not None
             ]
             element_sets[name] = np.concatenate(numbers) if numbers else np.zeros(0, np.int64)
-    named = {int(tag): name for name, (tag, _) in _tags(found.field_data)}
+    names = {int(tag[0]): name for name, tag in found.field_data.items() if np.shape(tag) == (2,)}
     for name, parts in found.cell_data.items():
-        for value, numbers in _groups(name, parts, int(start[-1])):
-            text = named.get(value, str(value)) if name in _GROUPS else f"{name} {value}"
-            element_sets.setdefault(text, numbers)
+        if len(parts) and all(np.ndim(part) < 3 and np.size(part) == len(part) for part in parts):
+            values = np.concatenate([np.ravel(part) for part in parts])
+            if len(values) == start[-1]:
+                element_sets = numbered_sets(name, values, names) | element_sets
     node_sets = {name: np.asarray(numbers, np.int64) for name, numbers in found.point_sets.items()}
     return Cells(found.points, blocks, node_sets, element_sets, {}, notes)
 
 
-def _tags(field_data) -> list:
-    """Names of numbered groups, as meshlane keeps those of gmsh: [(name, (number, dimension))]."""
-    return [(name, tag) for name, tag in field_data.items() if np.shape(tag) == (2,)]
+def numbered_sets(array: str, values: np.ndarray, names: Mapping[int, str] | None = None) -> dict[str, np.ndarray]:
+    """Element sets of cells with the same whole number, of an array of values (c,); of other values none.
 
-
-def _groups(name: str, parts, count: int) -> list[tuple[int, np.ndarray]]:
-    """[(value, cells)] of values that number groups; of others none."""
-    values = np.concatenate([np.asarray(part).reshape(len(part), -1) for part in parts]) if len(parts) else None
-    if name in _NO_GROUPS or values is None or values.dtype.kind not in "iu" or values.shape != (count, 1):
-        return []
-    values = values.ravel()
+    A set is called by its number where the array is known to number groups, or by what `names` calls it, and else by
+    the array's name and the number.
+    """
+    if array in _NO_GROUPS or values.dtype.kind not in "iu":
+        return {}
     different = np.unique(values)
-    if len(different) > _MOST_GROUPS or (len(different) == count > 1):
-        return []
-    return [(int(value), np.flatnonzero(values == value)) for value in different if value or name not in _GROUPS]
+    if len(different) > _MOST_GROUPS or len(different) == len(values) > 1:
+        return {}
+    if array not in _GROUPS:
+        return {f"{array} {value}": np.flatnonzero(values == value) for value in different}
+    called = {int(value): (names or {}).get(int(value), str(value)) for value in different if value}
+    return {name: np.flatnonzero(values == value) for value, name in called.items()}
