@@ -138,9 +138,9 @@ def fuzz(seeds: range, watch_time: bool = False) -> tuple[collections.Counter, l
 
 
 def _write_sheet(folder: Path) -> None:
-    import meshio
+    import meshlane
 
-    meshio.write(folder / "sheet.vtk", meshio.Mesh(np.array(NODES), {"triangle": np.array(TRIANGLES)}))
+    meshlane.write(folder / "sheet.vtk", meshlane.Mesh(np.array(NODES), {"triangle": np.array(TRIANGLES)}))
 
 
 def main() -> int:

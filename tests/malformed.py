@@ -245,7 +245,7 @@ def try_scene_file(random: Random, folder: Path) -> tuple[str, list[str]]:
 
 def try_mesh_file(random: Random, folder: Path) -> tuple[str, list[str]]:
     """Read a mesh file that is damaged, empty, of another kind, or of cells that are no shell."""
-    import meshio
+    import meshlane
 
     suffix = random.choice(
         [".vtk", ".msh", ".stl", ".inp", ".obj", ".off", ".ply", ".vtu", ".xyz", ".med", ".bdf", ".h5", ""]
@@ -264,9 +264,9 @@ def try_mesh_file(random: Random, folder: Path) -> tuple[str, list[str]]:
     silence = contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO())
     try:
         with silence[0], silence[1]:
-            meshio.write(good, meshio.Mesh(points, {kind: np.array(cell) for kind, cell in cells.items()}))
+            meshlane.write(good, meshlane.Mesh(points, {kind: np.array(cell) for kind, cell in cells.items()}))
         data = good.read_bytes()
-    except (Exception, SystemExit):  # meshio does not write all of it in all formats
+    except (Exception, SystemExit):  # meshlane does not write all of it in all formats
         data = b"solid x\n" if random.random() < 0.5 else b""
     if random.random() < 0.7:
         data = damaged(random, data.decode("latin-1") or "x").decode("utf-8", "ignore").encode("latin-1", "ignore")

@@ -16,7 +16,7 @@ from jaxshell.model.generators import rectangle  # noqa: E402
 from jaxshell.model.mesh import grid  # noqa: E402
 from jaxshell.model.repair import split_quads  # noqa: E402
 
-meshio = pytest.importorskip("meshio")
+import meshlane  # noqa: E402
 
 STRIP = rectangle(4.0, 1.0, [8, 2])
 NODES = np.asarray(STRIP.nodes)
@@ -31,7 +31,7 @@ def quads(rows: int, columns: int) -> np.ndarray:
 
 
 def write(path, cells: dict, nodes=NODES):
-    meshio.write(path, meshio.Mesh(nodes, [(kind, np.asarray(data)) for kind, data in cells.items()]))
+    meshlane.write(path, meshlane.Mesh(nodes, [(kind, np.asarray(data)) for kind, data in cells.items()]))
     return path
 
 
@@ -103,7 +103,7 @@ def test_points_and_lines_are_left_out_by_name(tmp_path):
 
 BROKEN = {
     "empty.msh": b"",
-    "empty.ply": b"",  # meshio's reader goes on for ever
+    "empty.ply": b"",  # meshlane's reader goes on for ever
     "cut.ply": b"ply\nformat ascii 1.0\nelement vertex 4\n",
     "text.stl": b"solid\n",
     "cut.vtk": b"# vtk DataFile Version 5.1\nwritten\nBINARY\nDATASET UNSTRUCTURED_GRID\nPOINTS 99999999999 double\n",
@@ -124,7 +124,7 @@ def test_a_broken_file_is_one_error_that_names_it(name, tmp_path, capsys):
 
 def test_what_is_no_mesh_file_at_all(tmp_path):
     (tmp_path / "sheet.xyz").write_text("1 2 3")
-    with pytest.raises(ValueError, match=r"sheet\.xyz is of no kind that meshio reads"):
+    with pytest.raises(ValueError, match=r"sheet\.xyz is of no kind that meshlane reads"):
         js.Mesh.read(tmp_path / "sheet.xyz")
     for path in (tmp_path, tmp_path / "none.vtk", "\0.vtk", "x" * 300 + ".vtk"):
         with pytest.raises(FileNotFoundError, match="There is no mesh file"):

@@ -49,10 +49,10 @@ def test_quads_are_cut_along_the_first_diagonal():
 
 
 @pytest.mark.parametrize("suffix", [".vtk", ".msh", ".stl"])
-def test_files_that_meshio_reads(suffix, tmp_path):
-    meshio = pytest.importorskip("meshio")
+def test_files_that_meshlane_writes(suffix, tmp_path):
+    import meshlane
     points = np.concatenate([np.asarray(RECTANGLE.nodes), [[9.0, 9.0, 9.0]]])  # one that no triangle uses
-    meshio.write(tmp_path / f"sheet{suffix}", meshio.Mesh(points, {"triangle": RECTANGLE.triangles}))
+    meshlane.write(tmp_path / f"sheet{suffix}", meshlane.Mesh(points, {"triangle": RECTANGLE.triangles}))
     mesh = js.Mesh.read(tmp_path / f"sheet{suffix}")
     assert mesh.n_nodes == RECTANGLE.n_nodes and mesh.n_elements == RECTANGLE.n_elements
     np.testing.assert_allclose(areas(mesh), areas(RECTANGLE), rtol=1e-6)

@@ -103,11 +103,10 @@ velocity = [1, 2, 3]
 
 
 def test_mesh_file_beside_the_scene(tmp_path):
-    pytest.importorskip("meshio")
     mesh = rectangle(2.0, 1.0, [2, 2])
-    import meshio
+    import meshlane
 
-    meshio.write(tmp_path / "strip.vtk", meshio.Mesh(np.asarray(mesh.nodes), [("triangle", mesh.triangles)]))
+    meshlane.write(tmp_path / "strip.vtk", meshlane.Mesh(np.asarray(mesh.nodes), [("triangle", mesh.triangles)]))
     section = BASE[BASE.index("[section]") :]
     scene, _ = read(tmp_path, '[mesh]\nfile = "strip.vtk"\n' + section)
     assert np.array_equal(scene.mesh.triangles, mesh.triangles)

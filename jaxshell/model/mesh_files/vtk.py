@@ -24,14 +24,10 @@ def read_cells(path) -> Cells:
     path = Path(path)
     try:
         reading = _Reading(path.read_bytes())
-        if reading.dataset not in ("UNSTRUCTURED_GRID", "POLYDATA"):
-            return cells_of(*read(path, "vtk"))
-        reading.read_sections()
-        return reading.result()
+        found = reading.result() if reading.dataset in ("UNSTRUCTURED_GRID", "POLYDATA") else None
     except (ValueError, IndexError, KeyError, OverflowError, MemoryError) as error:
-        if str(error).startswith(str(path)):
-            raise
         raise broken(path) from error
+    return cells_of(*read(path, "vtk")) if found is None else found
 
 
 class _Reading:
@@ -79,7 +75,7 @@ class _Reading:
             words += self._words() or _ended()
         return np.array(words[:count], dtype)
 
-    def read_sections(self) -> None:
+    def _read_sections(self) -> None:
         where, count = "", 0
         while words := self._words():
             key = words[0].upper()
@@ -142,6 +138,7 @@ class _Reading:
             self.values[name] = values
 
     def result(self) -> Cells:
+        self._read_sections()
         if self.dataset == "POLYDATA":
             kinds = [
                 _OF_SIZE.get(len(cell), "polygon" if key == "POLYGONS" else "polyline")
