@@ -447,7 +447,11 @@ SECOND = [[0.0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0], [1, 0, 0], [2, 1, 0], [1
 def test_cells_of_second_order_are_cut_through_the_nodes_on_their_sides(kind, corners, count):
     """Lines of the same order, and of the first, which leaves the node on the side out, mark the same edges."""
     blocks = [("line3", np.array([[0, 3, 7]])), ("line", np.array([[1, 2]])), (kind, np.array(corners))]
-    cells = Cells(np.array(SECOND), blocks, element_sets={"left": [0], "right": [1], "first": [2]})
+    cells = Cells(
+        np.array(SECOND),
+        blocks,
+        element_sets={name: np.array([i]) for i, name in enumerate(("left", "right", "first"))},
+    )
     with pytest.raises(ValueError, match=rf'file holds \d {kind} cells.* second_order="split" cuts'):
         mesh_of_cells(cells, "file")
     mesh, numbering = mesh_of_cells(cells, "file", second_order="split")
@@ -500,7 +504,9 @@ def test_cures_of_a_mesh_keep_its_sets():
 
 
 def test_a_set_of_which_nothing_is_left_is_named():
-    cells = Cells(np.array(POINTS), [("triangle", np.array(TRIANGLES))], {"far": np.array([6])}, {}, {"no": [[0, 4]]})
+    cells = Cells(
+        np.array(POINTS), [("triangle", np.array(TRIANGLES))], {"far": np.array([6])}, {}, {"no": np.array([[0, 4]])}
+    )
     with pytest.warns(UserWarning, match=r"Left out, since no .* has any of it: node set 'far', side set 'no'\.$"):
         mesh, _ = mesh_of_cells(cells, "file")
     assert not mesh.node_sets and not mesh.side_sets

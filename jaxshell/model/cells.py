@@ -298,7 +298,7 @@ def _node_sets(sets: Mapping, number: np.ndarray, losses: _Losses) -> dict[str, 
     found = {}
     for name, points in sets.items():
         nodes = number[np.unique(np.asarray(points, np.int64))]
-        losses.add_set("node", name, (nodes >= 0).sum(), len(nodes), "nodes")
+        losses.add_set("node", name, int((nodes >= 0).sum()), len(nodes), "nodes")
         found[name] = np.unique(nodes[nodes >= 0])
     return {name: nodes for name, nodes in found.items() if len(nodes)}
 
