@@ -95,8 +95,8 @@ def surface(
     `where` names the file in messages. `quads`, `second_order`, `merge` and `orient` as in `Mesh.read`. A warning
     names cells that are left out, and sets of which all or a part is. Raises ValueError for cells that make no shell.
     """
-    points = _points(cells.points, where)
     _check_kinds(cells.blocks, where, quads, second_order)
+    points = _points(cells.points, where)
     _check_corners(cells.blocks, where, len(points))
     triangles, first = _cut(points, cells.blocks)
     nodes, triangles, number = only_used(points, triangles)
