@@ -5,6 +5,7 @@ one of triangles and quads, with physical groups of the plates, of the curves at
 """
 
 from pathlib import Path
+from typing import Any
 
 import jax
 import meshlane
@@ -368,7 +369,7 @@ def test_polygons_and_whole_numbers_of_cells_are_read_from_vtk(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".vtk", ".vtu", ".xdmf"])
 def test_whole_numbers_of_cells_are_sets_and_others_are_not(suffix, tmp_path):
-    cells = [("line", np.array(LINES)), ("triangle", np.array(TRIANGLES)), ("quad", np.array(QUADS))]
+    cells: Any = [("line", np.array(LINES)), ("triangle", np.array(TRIANGLES)), ("quad", np.array(QUADS))]
     data = {"part": [np.array([3, 3]), np.array([1, 2]), np.array([2])], "load": [np.ones(2), np.ones(2), np.ones(1)]}
     meshlane.write(tmp_path / f"parts{suffix}", meshlane.Mesh(np.array(POINTS), cells, cell_data=data))
     mesh = js.Mesh.read(tmp_path / f"parts{suffix}")
@@ -408,7 +409,7 @@ def test_off_files_of_triangles_and_quads(head, tmp_path):
 
 @pytest.mark.parametrize(("suffix", "binary"), [(".stl", True), (".stl", False), (".ply", True), (".ply", False)])
 def test_surfaces_without_sets(suffix, binary, tmp_path):
-    cells = [("triangle", np.array(TRIANGLES))] + ([("quad", np.array(QUADS))] if suffix == ".ply" else [])
+    cells: Any = [("triangle", np.array(TRIANGLES))] + ([("quad", np.array(QUADS))] if suffix == ".ply" else [])
     meshlane.write(tmp_path / f"a{suffix}", meshlane.Mesh(np.array(POINTS[:6]), cells), binary=binary)
     mesh = js.Mesh.read(tmp_path / f"a{suffix}")
     assert mesh.n_elements == (4 if suffix == ".ply" else 2)
@@ -417,7 +418,7 @@ def test_surfaces_without_sets(suffix, binary, tmp_path):
 
 def test_groups_of_med_files(tmp_path):
     """Salome's: named groups of cells and of nodes."""
-    cells = [("triangle", np.array(TRIANGLES)), ("quad", np.array(QUADS))]
+    cells: Any = [("triangle", np.array(TRIANGLES)), ("quad", np.array(QUADS))]
     meshlane.write(
         tmp_path / "a.med",
         meshlane.Mesh(
@@ -460,9 +461,10 @@ def test_cells_of_second_order_are_cut_through_the_nodes_on_their_sides(kind, co
     assert mesh.boundary_edges().tolist() == [[0, 4], [0, 7], [1, 4], [1, 5], [2, 5], [2, 6], [3, 6], [3, 7]]
     assert lists(mesh.side_sets) == {"left": [[0, 7], [3, 7]], "right": [[1, 5], [2, 5]]}
     assert lists(mesh.node_sets) == {"left": [0, 3, 7], "right": [1, 2, 5]}
-    area = np.cross(*(np.asarray(mesh.nodes)[mesh.triangles[:, i]] - mesh.nodes[mesh.triangles[:, 0]] for i in (1, 2)))
-    np.testing.assert_allclose(area[:, 2].sum() / 2, 4.0)
-    assert (area[:, 2] > 0).all() and numbering.first.tolist()[:3] == [0, 0, 0]
+    a, b, c = np.moveaxis(np.asarray(mesh.nodes)[mesh.triangles], 1, 0)
+    area = np.cross(b - a, c - a)[:, 2] / 2
+    assert area.sum() == pytest.approx(4.0) and (area > 0).all()
+    assert numbering.first.tolist()[:3] == [0, 0, 0]
 
 
 def faces_that_touch():

@@ -27,6 +27,9 @@ SIDES = {
     for kind, corners in (("triangle", 3), ("quad", 4), ("triangle6", 3), ("quad8", 4), ("quad9", 4))
 }
 """The sides of a cell, in the order of its corners: one edge each, or two that meet in the side's node."""
+_CORNERS = {"vertex": 1, "line": 2, "line3": 3, "line4": 4, "triangle": 3, "quad": 4, "triangle6": 6, "quad8": 8,
+            "quad9": 9}  # fmt: skip
+"""How many nodes a cell has."""
 _HARMLESS = ("vertex", *LINES)
 """Cells of lower dimension, which mark points and curves of the geometry."""
 
@@ -123,6 +126,9 @@ def _points(points, where: str) -> np.ndarray:
     if points.ndim != 2 or points.shape[1] not in (2, 3) or points.dtype.kind not in "fiu":
         raise ValueError(f"{where} is broken: its points have shape {points.shape}, not (n, 3).")
     points = np.asarray(points, float)
+    if not np.isfinite(points).all():
+        first = int(np.argmin(np.isfinite(points).all(axis=1)))
+        raise ValueError(f"{where} is broken: its point {first} lies at {points[first].tolist()}.")
     return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
 
 
@@ -169,6 +175,8 @@ def _listed(number: Mapping[str, int], kinds) -> str:
 
 def _check_corners(blocks, where: str, n_points: int) -> None:
     for kind, cells in blocks:
+        if len(cells) and np.shape(cells)[1:] != (_CORNERS[kind],):
+            raise ValueError(f"{where} is broken: a {kind} does not have {_CORNERS[kind]} nodes.")
         if len(cells) and (cells.min() < 0 or cells.max() >= n_points):
             raise ValueError(f"{where} is broken: a {kind} names a node that it does not have.")
 

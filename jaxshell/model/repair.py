@@ -137,18 +137,25 @@ def split_quads(nodes: np.ndarray, quads: np.ndarray) -> tuple[np.ndarray, np.nd
     Of two like diagonals that from corner 1 to 3. Where the shorter one lies outside of a quad that is not convex, the
     other. A quad with two neighbouring corners in one node is a triangle.
     """
+    # Sizes near the largest number, which no mesh may have, are no business of the cut.
+    with np.errstate(over="ignore", invalid="ignore"):
+        triangles = _halves(nodes, quads)
+    distinct = np.diff(np.sort(quads, axis=1), axis=1) != 0
+    side = (quads == np.roll(quads, 1, axis=1)).sum(axis=1)
+    is_triangle = (distinct.sum(axis=1) == 2) & (side == 1)
+    empty = (triangles == np.roll(triangles, 1, axis=2)).any(axis=2) & is_triangle[:, None]
+    return triangles[~empty], np.nonzero(~empty)[0]
+
+
+def _halves(nodes: np.ndarray, quads: np.ndarray) -> np.ndarray:
+    """(q, 2, 3) the two triangles of each quad."""
     x = nodes[quads]
     one, other = (np.linalg.norm(x[:, b] - x[:, a], axis=1) for a, b in ((0, 2), (1, 3)))
     along_first = one <= other * (1 + 1e-9)
     cut = {True: [[0, 1, 2], [0, 2, 3]], False: [[0, 1, 3], [1, 2, 3]]}
     folded = {way: _opposite(x[:, corners]) for way, corners in cut.items()}
     along_first = np.where(along_first, ~folded[True] | folded[False], folded[False] & ~folded[True])
-    triangles = np.where(along_first[:, None, None], quads[:, cut[True]], quads[:, cut[False]])
-    distinct = np.diff(np.sort(quads, axis=1), axis=1) != 0
-    side = (quads == np.roll(quads, 1, axis=1)).sum(axis=1)
-    is_triangle = (distinct.sum(axis=1) == 2) & (side == 1)
-    empty = (triangles == np.roll(triangles, 1, axis=2)).any(axis=2) & is_triangle[:, None]
-    return triangles[~empty], np.nonzero(~empty)[0]
+    return np.where(along_first[:, None, None], quads[:, cut[True]], quads[:, cut[False]])
 
 
 def _opposite(x: np.ndarray) -> np.ndarray:

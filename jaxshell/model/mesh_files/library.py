@@ -10,8 +10,10 @@ import numpy as np
 
 from jaxshell.model.cells import Cells
 
-_STREAMED = {"ply": "rb", "su2": "r", "avsucd": "r", "tecplot": "r", "wkt": "r", "mdpa": "rb"}
+_STREAMED = {"ply": "rb", "su2": "r", "avsucd": "r", "tecplot": "r", "mdpa": "rb"}
 """Formats whose reader takes an open file, and whether of bytes or text: some never stop at the file's end."""
+_UNREAD = ("svg", "wkt", "openfoam")
+"""Formats that are only written, whose reader may never end, and that are folders."""
 _GROUPS = {"gmsh:physical", "medit:ref", "su2:tag", "CellEntityIds"}
 """Values of cells that number their groups. Those of other whole numbers are called by the name of the values too."""
 _NO_GROUPS = {
@@ -35,10 +37,10 @@ def broken(path, reason: str = "") -> ValueError:
 
 
 def endings() -> list[str]:
-    """Ends of names that meshlane knows."""
+    """Ends of names of the formats that meshlane reads."""
     import meshlane
 
-    return sorted(end for end, formats in meshlane.extension_to_filetypes.items() if formats != ["svg"])
+    return sorted(end for end, formats in meshlane.extension_to_filetypes.items() if formats[0] not in _UNREAD)
 
 
 def read_cells(path) -> Cells:
