@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from mesh_texts import BDF, GMSH22, INP, OBJ, PARTS, POLYDATA
 
 jax.config.update("jax_enable_x64", True)
 
@@ -150,7 +151,7 @@ FILES: list[dict] = [
                     "B": [[0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]], "mass_per_area": 1.0,
                     "D": [[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]], "rotary_inertia": 0.1, "first_moment": 0.01},
     },
-    {"mesh": {"file": "sheet.vtk", "quads": "split", "merge": 1e-6, "orient": True, "coincident": "error"}, "section": SECTION},
+    {"mesh": {"file": "sheet.vtk", "quads": "split", "second_order": "split", "merge": 1e-6, "orient": True, "coincident": "error"}, "section": SECTION},
 ]  # fmt: skip
 
 
@@ -245,6 +246,20 @@ def try_scene_file(random: Random, folder: Path) -> tuple[str, list[str]]:
 
 def try_mesh_file(random: Random, folder: Path) -> tuple[str, list[str]]:
     """Read a mesh file that is damaged, empty, of another kind, or of cells that are no shell."""
+    options = {"merge": random.choice([None, 1e-9, math.nan, "a"]), "orient": random.choice([True, False])}
+    if random.random() < 0.5:
+        suffix, text = random.choice(list(MESHES.items()))
+        file = folder / f"broken{suffix}"
+        file.write_bytes(damaged(random, text))
+        check_finite(js.Mesh.read(file, second_order="split", **options))
+        return f"{file.name}: {file.read_bytes()!r}", [file.name, "merge", "tolerance"]
+    return _try_written_mesh_file(random, folder, options)
+
+
+MESHES = {".msh": GMSH22, ".inp": INP + PARTS, ".bdf": BDF, ".vtk": POLYDATA, ".obj": OBJ}
+
+
+def _try_written_mesh_file(random: Random, folder: Path, options: dict) -> tuple[str, list[str]]:
     import meshlane
 
     suffix = random.choice(
@@ -271,7 +286,6 @@ def try_mesh_file(random: Random, folder: Path) -> tuple[str, list[str]]:
     if random.random() < 0.7:
         data = damaged(random, data.decode("latin-1") or "x").decode("utf-8", "ignore").encode("latin-1", "ignore")
     file.write_bytes(data)
-    options = {"merge": random.choice([None, 1e-9, math.nan, "a"]), "orient": random.choice([True, False])}
     mesh = js.Mesh.read(file, **options)
     check_finite(mesh)
     return f"{file.name}: {data[:300]!r}", [file.name, "merge", "tolerance"]
@@ -305,7 +319,7 @@ CALLS: dict[str, tuple[Callable, dict[str, Any]]] = {
     "Mesh": (js.Mesh, {"nodes": NODES, "triangles": TRIANGLES, "coincident": "error"}),
     "Mesh.merged": (js.Mesh.merged, {"nodes": NODES, "triangles": TRIANGLES, "tolerance": 1e-3, "orient": True}),
     "Mesh.oriented": (js.Mesh.oriented, {"nodes": NODES, "triangles": TRIANGLES, "coincident": "error"}),
-    "Mesh.read": (js.Mesh.read, {"path": "none.vtk", "quads": "split", "merge": 1e-3, "orient": True}),
+    "Mesh.read": (js.Mesh.read, {"path": "none.vtk", "quads": "split", "second_order": "error", "merge": 1e-3, "orient": True}),
     "nearest_node": (MESH.nearest_node, {"point": UP}),
     "nodes_where": (MESH.nodes_where, {"condition": lambda x: x[0] == 0}),
     "Section": (js.Section, SECTION),

@@ -288,7 +288,7 @@ def test_cures_in_scene_files(tmp_path):
         ("orient = true", "nodes coincide"),
         ('merge = "a"', "merge must be one number, but it is 'a'"),
         ("quads = 4", "quads must be one of split, error, but it is 4"),
-        ("fuse = 1.0", "unknown key 'fuse'. Known keys: file, quads, merge, orient, coincident"),
+        ("fuse = 1.0", "unknown key 'fuse'. Known keys: file, quads, second_order, merge, orient, coincident"),
     ):
         with pytest.raises(ValueError, match=rf"scene\.toml: \[mesh\] .*{message}"):
             read(more)

@@ -11,10 +11,12 @@ import jax
 import meshlane
 import numpy as np
 import pytest
+from mesh_texts import BDF, GMSH22, INP, OBJ, PARTS, POLYDATA
 
 jax.config.update("jax_enable_x64", True)
 
 import jaxshell as js  # noqa: E402
+from jaxshell.files.scene_file import read_scene_file  # noqa: E402
 from jaxshell.model.cells import Cells  # noqa: E402
 from jaxshell.model.mesh import mesh_of_cells  # noqa: E402
 from jaxshell.model.mesh_files import abaqus, nastran  # noqa: E402
@@ -59,35 +61,6 @@ def test_the_groups_of_a_file_of_gmsh_are_where_they_were_drawn(name):
         assert {*mesh.element_sets} == {"left plate", "right plate", "both"} and {*mesh.side_sets} == {"clamp", "seam"}
 
 
-GMSH22 = """$MeshFormat
-2.2 0 8
-$EndMeshFormat
-$PhysicalNames
-3
-0 1 "a"
-1 1 "a"
-2 1 "a"
-$EndPhysicalNames
-$Nodes
-5
-1 0 0 0
-2 1 0 0
-3 1 1 0
-7 0 1 0
-9 5 5 5
-$EndNodes
-$Elements
-6
-1 15 2 1 1 2
-2 1 2 1 1 1 7
-3 2 2 1 1 1 2 3
-4 2 2 2 1 1 3 7
-5 15 2 2 1 3
-6 1 2 2 1 2 3
-$EndElements
-"""
-
-
 def test_groups_of_one_name_or_number_are_kept_apart_by_dimension(tmp_path):
     """Group 2 has no name: of a point, a curve and a surface."""
     mesh = js.Mesh.read(written(tmp_path, "groups.msh", GMSH22))
@@ -123,43 +96,60 @@ def test_a_file_of_gmsh_that_is_wrong_is_refused(old, new, message, tmp_path):
         js.Mesh.read(file)
 
 
-# --- Abaqus ----------------------------------------------------------------------------------------------
-
-INP = """*HEADING
-** written by hand
-*NODE, NSET=Every
- 10, 0., 0., 0.
- 20, 1., 0., 0.
- 30, 1., 1.
-** a comment between data lines
- 40, 0., 1.
- 50, 2.
- 60, 2., 1.
- 99, 9., 9., 9.
-*ELEMENT, TYPE=S3R, ELSET=Tri
-1, 10, 20, 30
-2, 10, 30, 40
-*Element, type=S4,
- elset=Quad
-7, 20, 50, 60, 30
-*ELSET, ELSET=all
- tri, QUAD
-*ELSET, ELSET=odd, GENERATE
-1, 7, 2
-3, 3
-*NSET, NSET=left
- 10, 40
-*NSET, NSET=LEFT
- 99
-*NSET, NSET=ofquad, ELSET=Quad
-*SURFACE, NAME=rim
-Quad, E2
-2, E3
-*SURFACE, NAME=top, TYPE=ELEMENT
-Tri, SPOS
-*SURFACE, NAME=points, TYPE=NODE
-left
+SCENE = """
+[mesh]
+file = "plates.msh"
+[[section]]
+elements = "left plate"
+thickness = 0.1
+young_modulus = 1.2e6
+poisson_ratio = 0.3
+density = 1.0
+[[section]]
+elements = "right plate"
+thickness = 0.05
+young_modulus = 1.2e6
+poisson_ratio = 0.3
+density = 1.0
+[[supports]]
+nodes = "clamp"
+hold = "clamped"
+[[loads]]
+kind = "edge force"
+edges = "seam"
+force = [0.0, 0.0, 1.0]
+[[loads]]
+kind = "force"
+nodes = "tip"
+force = [0.0, 0.0, 2.0]
+[[loads]]
+kind = "pressure"
+elements = "both"
+pressure = 3.0
+[watch]
+tip = { node = "tip", component = "uz" }
 """
+
+
+def test_a_scene_file_goes_by_the_groups_of_its_mesh(tmp_path):
+    """And is the scene that numbers state, found by places."""
+    (tmp_path / "plates.msh").write_bytes((DATA / "gmsh41_binary.msh").read_bytes())
+    scene, _ = read_scene_file(written(tmp_path, "scene.toml", SCENE))
+    mesh = scene.mesh
+    assert [support.nodes.array.tolist() for support in scene.supports] == [
+        mesh.nodes_where(lambda x: x[0] < 1e-9).tolist()
+    ]
+    edge, force, pressure = scene.loads
+    assert isinstance(edge, js.EdgeForce) and edge.edges.array.tolist() == sides_at(mesh, 2.0)
+    tip = mesh.nearest_node([4.0, 0.0, 0.0])
+    assert isinstance(force, js.NodalForce) and force.nodes.array.tolist() == [tip]
+    assert isinstance(pressure, js.Pressure) and pressure.elements is not None
+    assert pressure.elements.array.tolist() == list(range(36)) and scene.watch == (("tip", tip, "uz"),)
+    left = np.asarray(mesh.nodes)[mesh.triangles].mean(axis=1)[:, 0] < 2
+    np.testing.assert_allclose(scene.section.per_element(36).thickness, np.where(left, 0.1, 0.05))
+
+
+# --- Abaqus ----------------------------------------------------------------------------------------------
 
 
 def test_sets_of_an_input_file(tmp_path):
@@ -179,39 +169,6 @@ def test_sets_of_an_input_file(tmp_path):
         "Every": [0, 1, 2, 3, 4, 5], "left": [0, 3], "ofquad": [1, 2, 4, 5], "points": [0, 3],
     }  # fmt: skip
     assert lists(mesh.side_sets) == {"rim": [[0, 3], [4, 5]]}
-
-
-PARTS = """*Part, name=Plate
-*Node
-1, 0., 0., 0.
-2, 1., 0., 0.
-3, 1., 1., 0.
-*Element, type=S3
-1, 1, 2, 3
-*Nset, nset=Set-1, generate
-1, 2, 1
-*Elset, elset=Skin
-1
-*Shell Section, elset=Skin, material=Steel
-0.1, 5
-*End Part
-*Assembly, name=Assembly
-*Instance, name=First, part=Plate
-*End Instance
-*Instance, name=Second, part=Plate
-1., 1., 5.
-1., 1., 5., 1., 1., 6., 90.
-*End Instance
-*Nset, nset=Set-1, instance=Second
-3
-*Elset, elset=_Loaded_SPOS, internal, instance=Second
-1
-*Surface, type=ELEMENT, name=Loaded
-_Loaded_SPOS, SPOS
-*Nset, nset=Both
-First.Set-1, Second.3
-*End Assembly
-"""
 
 
 def test_instances_of_a_part_are_placed_and_their_sets_called_by_them(tmp_path):
@@ -275,28 +232,6 @@ def test_an_included_file_is_read_in_its_place(tmp_path):
 
 # --- Nastran ---------------------------------------------------------------------------------------------
 
-BDF = """SOL 101
-CEND
-BEGIN BULK
-$HMNAME PROP         4"skin" 4
-GRID           1              0.      0.      0.
-GRID,2,,1.0,0.0,0.0
-GRID*                  3                             1.0             1.0
-*                    0.0
-GRID           4       7     1.0     90.      0.
-CORD2C  7               0.      0.      0.      0.      0.      1.      +
-+       1.      0.      0.
-GRID           5         2.+0       0.      0.
-GRID           6             2.0     1.0     0.0
-CTRIA3         1       4       1       2       3      30.     0.1
-CTRIA3,2,4,1,3,4
-CQUAD4         3       9       2       5       6       3     45.
-CBAR           8       5       5       6     0.0     0.0     1.0
-PSHELL         4       1     0.1
-PCOMP          9
-ENDDATA
-"""
-
 
 def test_properties_of_bulk_data_are_sets(tmp_path):
     """With angles and offsets after the nodes, an exponent without its e, a cylindrical system, and all formats."""
@@ -338,29 +273,6 @@ def test_bulk_data_that_are_wrong_are_refused_with_their_line(old, new, message,
 POINTS = [[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0], [2, 1, 0], [7, 7, 7]]
 TRIANGLES, QUADS, LINES = [[0, 1, 2], [0, 2, 3]], [[1, 4, 5, 2]], [[0, 3], [4, 5]]
 
-POLYDATA = """# vtk DataFile Version 3.0
-written by hand
-ASCII
-DATASET POLYDATA
-POINTS 6 float
-0 0 0 1 0 0 1 1 0
-0 1 0 2 0 0 2 1 0
-POLYGONS 3 13
-3 0 1 2
-3 0 2 3
-4 1 4 5 2
-CELL_DATA 3
-SCALARS part int 1
-LOOKUP_TABLE default
-1 1 2
-NORMALS Normals float
-0 0 1 0 0 1 0 0 1
-POINT_DATA 6
-SCALARS number int
-LOOKUP_TABLE default
-0 1 2 3 4 5
-"""
-
 
 def test_polygons_and_whole_numbers_of_cells_are_read_from_vtk(tmp_path):
     mesh = js.Mesh.read(written(tmp_path, "polygons.vtk", POLYDATA))
@@ -375,22 +287,6 @@ def test_whole_numbers_of_cells_are_sets_and_others_are_not(suffix, tmp_path):
     mesh = js.Mesh.read(tmp_path / f"parts{suffix}")
     assert lists(mesh.element_sets) == {"part 1": [0], "part 2": [1, 2, 3]}
     assert lists(mesh.side_sets) == {"part 3": [[0, 3], [4, 5]]} and lists(mesh.node_sets) == {"part 3": [0, 3, 4, 5]}
-
-
-OBJ = """# written by hand
-o Wing
-v 0 0 0 0.5 0.5 0.5
-v 1 0 0
-v 1 1 0
-v 0 1 0
-g skin upper
-f 1/1 2/2 3/3
-f 1 -2 -1
-v 2 0 0
-v 2 1 0
-g rib
-f 2//1 5//1 6//1 3//1
-"""
 
 
 def test_groups_and_objects_of_obj_files_are_sets(tmp_path):

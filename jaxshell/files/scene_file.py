@@ -1,8 +1,9 @@
 """Scenes written as TOML files, for the command line; `examples/cantilever.toml` shows every table.
 
     name, units ("SI" puts units on the pictures' axes)
-    [mesh]         generator and its arguments (see `jaxshell.model.generators`), or file (whatever meshio reads) with
-                   quads ("split", "error"), merge (a tolerance), orient (true), coincident ("allow"): see `Mesh.read`;
+    [mesh]         generator and its arguments (see `jaxshell.model.generators`), or file (gmsh, Abaqus, ...), whose
+                   sets come along, with quads and second_order ("split", "error"), merge (a tolerance), orient (true),
+                   coincident ("allow"): see `Mesh.read`;
                    element_sets = { name = [numbers] or { plane, box } for the elements' centroids };
                    node_sets = { name = [numbers] or { nearest, plane, box, boundary } };
                    side_sets = { name = [[node, node], ...] or { ... } for the boundary's edges between such nodes }
@@ -46,7 +47,7 @@ from jaxshell.model.scene import Defaults, Initial, Scene
 from jaxshell.model.supports import ALL, Support, symmetry
 from jaxshell.numerics.checks import shown
 
-_READING = ("quads", "merge", "orient", "coincident")
+_READING = ("quads", "second_order", "merge", "orient", "coincident")
 _LOADS = {load.kind: load for load in LOADS if not issubclass(load, InitialStrains)}
 _SYMMETRY = {f"symmetry {normal}": symmetry([0], normal).dofs for normal in "xyz"}
 _KNOWN = ("name", "units", "mesh", "materials", "section", "supports", "loads", "thermal", "initial_strain")

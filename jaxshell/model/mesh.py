@@ -1,4 +1,4 @@
-"""Triangle meshes: nodes, connectivity, the checks that a shell needs, selections, and import through meshio."""
+"""Triangle meshes: nodes, connectivity, the checks that a shell needs, selections, sets, and import of mesh files."""
 
 from collections.abc import Callable, Mapping
 from typing import Any

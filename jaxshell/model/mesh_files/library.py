@@ -53,7 +53,10 @@ def read_cells(path) -> Cells:
 
 
 def read(path: Path, file_format: str, content: Path | None = None) -> tuple[Any, tuple[str, ...]]:
-    """A `meshlane.Mesh` and what meshlane warned of. `content`: where the content of `path` is. Raises ValueError."""
+    """A `meshlane.Mesh` and what meshlane warned of. `content`: where the content of `path` is.
+
+    Raises ValueError, and ImportError for formats that need a package more, such as Exodus.
+    """
     import meshlane
 
     heard = io.StringIO()
@@ -64,6 +67,8 @@ def read(path: Path, file_format: str, content: Path | None = None) -> tuple[Any
                 source = stack.enter_context(_Bytes(io.FileIO(source)))
                 source = source if _STREAMED[file_format] == "rb" else _Text(source, encoding="utf-8", errors="replace")
             found = meshlane.read(source, file_format)
+    except ImportError as error:
+        raise ImportError(f"Reading {path} needs {error.name}: pip install {error.name}.") from error
     # meshlane's readers leave by whatever a broken file leads them into, SystemExit among it.
     except (Exception, SystemExit) as error:
         known = isinstance(error, meshlane.ReadError | SystemExit)

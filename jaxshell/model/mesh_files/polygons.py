@@ -26,7 +26,7 @@ def read_obj(path) -> Cells:
             if key == "v":
                 points.append([float(word) for word in words[:3]])
                 if len(words) < 3:
-                    raise ValueError("a vertex has three coordinates")
+                    raise ValueError("A vertex has three coordinates.")
             elif key in ("f", "l", "p"):
                 corners = [_corner(word, len(points)) for word in words]
                 found = [corners] if key == "f" else _pieces(corners, 2 if key == "l" else 1)
@@ -34,7 +34,7 @@ def read_obj(path) -> Cells:
                     sets.setdefault(name, []).extend(range(len(faces), len(faces) + len(found)))
                 faces += found
         except ValueError as error:
-            raise broken(path, f"line {number}: {error}") from error
+            raise broken(path, f"line {number}, {line.strip()[:60]!r}") from error
         if key == "o":
             objects = [" ".join(words)] if words else []
         elif key == "g":
@@ -59,14 +59,14 @@ def read_off(path) -> Cells:
     try:
         head = lines.pop(0)
         if head[0] != "OFF":
-            raise ValueError("it does not begin with OFF")
+            raise ValueError("The file does not begin with OFF.")
         n_points, n_faces = map(int, (head[1:] or lines.pop(0))[:2])
         points = [[float(word) for word in words[:3]] for words in lines[:n_points]]
         rows = [[int(word) for word in words[: int(words[0]) + 1]] for words in lines[n_points : n_points + n_faces]]
         if len(rows) < n_faces or any(len(row) != row[0] + 1 for row in rows) or any(len(x) != 3 for x in points):
-            raise ValueError("it ends too early")
+            raise ValueError("The file ends too early.")
     except (ValueError, IndexError) as error:
-        raise broken(path, str(error) if isinstance(error, ValueError) else "") from error
+        raise broken(path) from error
     return _cells(points, [row[1:] for row in rows], {})
 
 
