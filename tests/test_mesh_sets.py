@@ -21,6 +21,7 @@ from jaxshell.model.cells import Cells  # noqa: E402
 from jaxshell.model.mesh import mesh_of_cells  # noqa: E402
 from jaxshell.model.mesh_files import abaqus, nastran  # noqa: E402
 from jaxshell.model.mesh_files.cards import read_cards  # noqa: E402
+from jaxshell.model.sections.regions import Regions  # noqa: E402
 
 DATA = Path(__file__).parent / "data"
 
@@ -146,7 +147,10 @@ def test_a_scene_file_goes_by_the_groups_of_its_mesh(tmp_path):
     assert isinstance(pressure, js.Pressure) and pressure.elements is not None
     assert pressure.elements.array.tolist() == list(range(36)) and scene.watch == (("tip", tip, "uz"),)
     left = np.asarray(mesh.nodes)[mesh.triangles].mean(axis=1)[:, 0] < 2
-    np.testing.assert_allclose(scene.section.per_element(36).thickness, np.where(left, 0.1, 0.05))
+    assert isinstance(scene.section, Regions)
+    assert [found.array.tolist() for found in scene.section.elements] == [
+        np.flatnonzero(left).tolist(), np.flatnonzero(~left).tolist(),
+    ]  # fmt: skip
 
 
 # --- Abaqus ----------------------------------------------------------------------------------------------
@@ -251,9 +255,17 @@ def test_bulk_data_without_begin_and_end_are_read(tmp_path):
     assert js.Mesh.read(written(tmp_path, "bare.nas", text)).n_elements == 4
 
 
+def test_springs_and_rigid_bodies_are_left_out_by_name(tmp_path):
+    text = BDF.replace("ENDDATA", "CELAS2,90,1.0,1,1,2,1\nRBE2,91,1,123,2\nRBE2,92,1,123,3\nENDDATA")
+    with pytest.warns(UserWarning, match=r"springs\.bdf: 1 CELAS2 are left out\. 2 RBE2 are left out\.$"):
+        assert js.Mesh.read(written(tmp_path, "springs.bdf", text)).n_elements == 4
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
+        ("$HMNAME PROP", "INCLUDE\n$HMNAME PROP", r"wrong\.bdf, line 4: INCLUDE needs the name of a file"),
+        ("$HMNAME PROP", "INCLUDE 'no.bdf'\n$HMNAME PROP", r"wrong\.bdf, line 4: there is no file no\.bdf to include"),
         ("       7     1.0     90.", "       8     1.0     90.", "line 9: GRID 4 is in coordinate system 8, which is not"),
         ("CTRIA3,2,4,1,3,4", "CTRIA3,2,4,1,3,44", "line 15: CTRIA3 2 names grid point 44, which is not there"),
         ("CTRIA3,2,4,1,3,4", "CTRIA3,2,4,1,3", "names no grid point in field 5"),

@@ -93,9 +93,13 @@ class _Card:
 
     def real(self, position: int) -> float:
         """A field as a number; exponents may lack their e, as in 1.5-3."""
-        text = self.text(position).lower().replace("d", "e")
+        text = self.text(position)
         try:
-            return float(re.sub(r"(?<=[\d.])([+-])", r"e\1", text) or 0.0)
+            return float(text or 0.0)
+        except ValueError:
+            pass
+        try:
+            return float(re.sub(r"(?<=[\d.])([+-])", r"e\1", text.lower().replace("d", "e")))
         except ValueError:
             raise ValueError(f"{self.where}: field {position} of {self.name}, {text!r}, should be a number.") from None
 
@@ -103,15 +107,18 @@ class _Card:
 def _bulk_lines(path: Path, above: tuple[Path, ...]) -> Iterator[tuple[str, str]]:
     """(text, place) of the lines of the bulk data, with those of included files."""
     lines = text_of(path).splitlines()
-    begin = [number for number, text in enumerate(lines) if re.match(r"\s*BEGIN\s+(SUPER|BULK)?", text, re.IGNORECASE)]
-    for number, text in list(enumerate(lines))[begin[0] + 1 if begin else 0 :]:
-        if re.match(r"\s*ENDDATA", text, re.IGNORECASE):
+    words = [text.split(None, 1)[0].upper() if text[:8].strip() else "" for text in lines]
+    begin = words.index("BEGIN") + 1 if "BEGIN" in words else 0
+    for number, text in enumerate(lines[begin:], begin):
+        if words[number] == "ENDDATA":
             return
-        included = re.match(r"\s*INCLUDE\s+['\"]?([^'\"]+?)['\"]?\s*$", text, re.IGNORECASE)
         where = f"{path.name}, line {number + 1}"
-        if included is None:
+        if words[number] != "INCLUDE":
             yield text.expandtabs(8), where
             continue
+        included = re.match(r"\s*INCLUDE\s+['\"]?([^'\"]+?)['\"]?\s*$", text, re.IGNORECASE)
+        if included is None:
+            raise ValueError(f"{where}: INCLUDE needs the name of a file, in one line.")
         inner = path.parent / included[1]
         if inner.resolve() in (*above, path.resolve()):
             raise ValueError(f"{where}: {inner.name} includes itself.")
@@ -175,6 +182,7 @@ class _Reading:
         self.systems: dict[int, _Card] = {}
         self.elements: dict[int, _Card] = {}
         self.properties: dict[int, str] = {}
+        self.left_out: dict[str, int] = {}
 
     def read_card(self, card: _Card) -> None:
         if card.name == "GRID":
@@ -187,6 +195,8 @@ class _Reading:
             raise ValueError(f"{card.where}: {card.name} is not read; CORD2R, CORD2C and CORD2S are.")
         elif re.fullmatch(r"P(SHELL|COMP|COMPG|BAR|BARL|BEAM|BEAML|ROD|TUBE|SHEAR|SOLID|LPLANE)", card.name):
             self.properties[card.whole(1)] = card.name
+        elif re.fullmatch(r"C(ELAS|BUSH|GAP|DAMP|VISC|WELD|FAST|SEAM|MASS)\w*|RB(AR|E)\w*|RROD|RTRPLT", card.name):
+            self.left_out[card.name] = self.left_out.get(card.name, 0) + 1
 
     @staticmethod
     def _take(card: _Card, taken: dict[int, _Card], what: str) -> None:
@@ -213,7 +223,8 @@ class _Reading:
             name = names.get(number, plain)
             sets[plain if name in sets else name] = np.array(cells, np.int64)
         arrays = [(kind, np.array(rows, np.int64)) for kind, rows in blocks]
-        cells = Cells(np.array(x).reshape(-1, 3), arrays, element_sets=sets)
+        notes = tuple(f"{count} {name} are left out" for name, count in self.left_out.items())
+        cells = Cells(np.array(x).reshape(-1, 3), arrays, element_sets=sets, notes=notes)
         return Bulk(cells, points, {number: cell for cell, number in enumerate(self.elements)})
 
     @staticmethod
