@@ -23,7 +23,7 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
 from jaxshell.model.loads import DeadLoad
-from jaxshell.model.mesh import triangle_areas
+from jaxshell.model.mesh_checks import triangle_areas
 from jaxshell.model.scene import Scene
 from jaxshell.results.solution import Solution
 

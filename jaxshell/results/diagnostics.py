@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxshell.model.mesh import triangle_areas
+from jaxshell.model.mesh_checks import triangle_areas
 from jaxshell.model.scene import Scene
 from jaxshell.results.solution import Solution
 
