@@ -51,6 +51,7 @@ def test_quads_are_cut_along_the_first_diagonal():
 @pytest.mark.parametrize("suffix", [".vtk", ".msh", ".stl"])
 def test_files_that_meshlane_writes(suffix, tmp_path):
     import meshlane
+
     points = np.concatenate([np.asarray(RECTANGLE.nodes), [[9.0, 9.0, 9.0]]])  # one that no triangle uses
     meshlane.write(tmp_path / f"sheet{suffix}", meshlane.Mesh(points, {"triangle": RECTANGLE.triangles}))
     mesh = js.Mesh.read(tmp_path / f"sheet{suffix}")
