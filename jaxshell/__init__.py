@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from jaxshell.model.sections import Cylindrical, GeneralSection, Laminate, Ply, Section
     from jaxshell.model.supports import Support, clamped, pinned, symmetry
     from jaxshell.numerics.plane_stress import principal, von_mises
+    from jaxshell.results.export.vtkhdf import VTKHDFWriter
     from jaxshell.results.failure import Strengths, failure_index, failure_index_of, ks
     from jaxshell.results.mass_properties import MassProperties, mass_properties
     from jaxshell.results.output import Output
@@ -111,6 +112,7 @@ __all__ = [
     "Strengths",
     "Support",
     "Thermal",
+    "VTKHDFWriter",
     "clamped",
     "failure_index",
     "failure_index_of",
@@ -174,6 +176,7 @@ _HOMES = {
     ],
     "analyses.modal": ["BucklingModes", "Modes", "linear_buckling", "natural_frequencies"],
     "solvers.newton": ["Newton"],
+    "results.export.vtkhdf": ["VTKHDFWriter"],
     "results.output": ["Output"],
     "numerics.plane_stress": ["principal", "von_mises"],
     "results.failure": ["Strengths", "failure_index", "failure_index_of", "ks"],

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -225,13 +226,17 @@ class Log:
 
 
 def _outputs_of(given) -> tuple[Output, ...]:
-    """The outputs of an `output=` argument: a path of a result file, an `Output`, several of them, or None."""
+    """The outputs of an `output=` argument: a path of a result or a VTKHDF file, an `Output`, several, or None."""
     if given is None:
         return ()
     if isinstance(given, Output):
         return (given,)
     if isinstance(given, Sequence) and not isinstance(given, str | bytes):
         return tuple(output for item in given for output in _outputs_of(item))
+    if Path(given).suffix == ".vtkhdf":
+        from jaxshell.results.export.vtkhdf import VTKHDFWriter
+
+        return (VTKHDFWriter(given),)
     from jaxshell.results.hdf5 import ResultWriter  # h5py only where it writes
 
     return (ResultWriter(given),)

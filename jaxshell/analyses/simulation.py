@@ -89,7 +89,8 @@ def simulate(
             solution's `result` and `message` say so. A run traced by JAX raises while the compiled program
             runs; with throw=False everything after the failure is NaN, gradients included.
         progress: show a progress bar.
-        output: path of an HDF5 file that receives the results as they come; or an `Output`, or several of them.
+        output: path of an HDF5 file that receives the results as they come, or of a VTKHDF file (*.vtkhdf) for
+            ParaView; or an `Output`, or several of them.
         restart: a solution of the same scene and method to go on from, also one read from a file.
 
     Returns a `Solution`. Raises ValueError for bad input and RuntimeError when float64 is off, both before

@@ -37,6 +37,9 @@ def add(commands) -> None:
         help="go on from the end of a result file, to the end it was to have or for --t-end more",
     )
     run.add_argument("--overwrite", action="store_true", help="replace a result file also where its run did not end")
+    run.add_argument(
+        "--vtkhdf", action="store_true", help="write a file for ParaView too, as the run goes (docs/export.md)"
+    )
     run.add_argument("--no-plots", action="store_true", help="write the results only")
     run.add_argument("--quiet", action="store_true", help="print errors only")
 
@@ -46,7 +49,6 @@ def _run(options: argparse.Namespace) -> int:
     prepare_jax()
     from jaxshell.analyses.simulation import simulate
     from jaxshell.command.report import describe_run, describe_scene
-    from jaxshell.results.hdf5 import ResultWriter
     from jaxshell.results.solution import RESULTS
 
     scene, of_file, stem = open_scene(options.scene, options.divisions)
@@ -74,7 +76,7 @@ def _run(options: argparse.Namespace) -> int:
                 restart=restart,
                 throw=False,
                 progress=sys.stderr.isatty() and not options.quiet,
-                output=ResultWriter(path, overwrite=options.overwrite),
+                output=_outputs(path, options),
             )
         except KeyboardInterrupt as stopped:
             if path.exists():
@@ -88,6 +90,8 @@ def _run(options: argparse.Namespace) -> int:
             return exit_status(stopped)
         solutions[label] = solution
         say(describe_run(label, solution, path))
+        if options.vtkhdf:
+            say(f"  {path.with_suffix('.vtkhdf')}")
         if not bool(solution.result == RESULTS.successful):
             failed.append(label)
             print(f"jaxshell: {label} failed. {solution.message}", file=sys.stderr)
@@ -97,6 +101,17 @@ def _run(options: argparse.Namespace) -> int:
         for path in plot(solutions, options.output, stem):
             say(f"  {path}")
     return 1 if failed else 0
+
+
+def _outputs(path: Path, options: argparse.Namespace) -> list:
+    """The result file, and what is asked for besides."""
+    from jaxshell.results.export.vtkhdf import VTKHDFWriter
+    from jaxshell.results.hdf5 import ResultWriter
+
+    found: list = [ResultWriter(path, overwrite=options.overwrite)]
+    if options.vtkhdf:
+        found.append(VTKHDFWriter(path.with_suffix(".vtkhdf"), overwrite=options.overwrite))
+    return found
 
 
 def _file_part(label: str) -> str:

@@ -95,6 +95,11 @@ def extend(dataset, values) -> None:
     dataset[start:] = values
 
 
+def dataset_name(label: str) -> str:
+    """A label as a name that HDF5 does not read as a path; different labels have different names."""
+    return label.replace("%", "%25").replace("/", "%2F").replace(".", "%2E") or "%"
+
+
 @contextlib.contextmanager
 def reading(path) -> Iterator[Any]:
     """The HDF5 file at `path`, looked through, as it was committed last; a run that writes it goes on.

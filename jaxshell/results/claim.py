@@ -13,11 +13,11 @@ from jaxshell.results.durable import DurableFile, in_use, sync_folder
 
 _UNFINISHED = (
     "{path} holds a run that did not end. Go on with it (`jaxshell run {path} --continue`, or simulate(restart="
-    "Solution.load(...))), or replace it with --overwrite, ResultWriter(..., overwrite=True)."
+    "Solution.load(...))), or replace it with --overwrite (in Python overwrite=True)."
 )
 _FOREIGN = (
     "{path} exists and holds no results of jaxshell that can be read. Choose another name, or replace it with "
-    "--overwrite, ResultWriter(..., overwrite=True)."
+    "--overwrite (in Python overwrite=True)."
 )
 _IN_USE = (
     "{path} is in use: a run is writing it. Wait for its end, or choose another name; when it was stopped, --continue "

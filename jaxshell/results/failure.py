@@ -124,13 +124,23 @@ def ks(values, sharpness=50.0, axis=None) -> Float[Array, "*b"]:
 
 
 def _index(scene: Scene, shape: Shape, criterion: str, strengths, reduce: str):
-    check_choice("criterion", criterion, tuple(NEEDS))
     check_choice("reduce", reduce, ("max", "all"))
+    each = strengths_of_plies(scene, criterion, strengths)
+    return over_frames(index_in_shape, scene, shape, each, criterion, reduce == "max")
+
+
+def index_in_shape(scene: Scene, shape: Shape, strengths: tuple[Strengths, ...], criterion: str, largest: bool):
+    """The index of one shape: (m,) the largest of each element, or (m, p, 2, 3)."""
+    stress, strain = _in_plies(scene, shape)
+    return _judged(strain if criterion == "max-strain" else stress, strengths, criterion, largest)
+
+
+def strengths_of_plies(scene: Scene, criterion: str, strengths) -> tuple[Strengths, ...]:
+    """One for each ply. Raises ValueError for a criterion that is none, and as `failure_index`."""
+    check_choice("criterion", criterion, tuple(NEEDS))
     check_at("failure_index", "top", scene.section, scene.mesh)
     plies = eqx.filter_eval_shape(scene.section.layers, scene.mesh).angle.shape[1]
-    each = tuple(_given_strengths(criterion, strengths, plies))
-    stress, strain = over_frames(_in_plies, scene, shape)
-    return _judged(strain if criterion == "max-strain" else stress, each, criterion, reduce == "max")
+    return tuple(_given_strengths(criterion, strengths, plies))
 
 
 def _given_strengths(criterion: str, strengths, plies: int) -> list[Strengths]:

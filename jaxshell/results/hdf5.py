@@ -36,6 +36,7 @@ from jaxshell.numerics.checks import require_float64
 from jaxshell.numerics.signals import LostOutput, held
 from jaxshell.results import checked
 from jaxshell.results.checked import (
+    dataset_name,
     extend,
     growing,
     has,
@@ -106,7 +107,7 @@ class ResultWriter(Output):
 
     def _make_datasets(self, scene: Scene, settings: dict) -> None:
         histories, frames = self._file.create_group("histories"), self._file.create_group("frames")
-        names = ["times", *(f"watched/{_dataset_name(label)}" for label in self._labels)]
+        names = ["times", *(f"watched/{dataset_name(label)}" for label in self._labels)]
         for name in names + [f"energy/{name}" for name in _ENERGY]:
             growing(histories, name, ())
         growing(histories, "iterations", (), np.int64)
@@ -138,7 +139,7 @@ class ResultWriter(Output):
             extend(frames["velocities"], part.velocities)
             extend(frames["times"], part.frame_times)
         for label in self._labels:
-            extend(histories[f"watched/{_dataset_name(label)}"], part.watched[label])
+            extend(histories[f"watched/{dataset_name(label)}"], part.watched[label])
         for name in _ENERGY:
             extend(histories[f"energy/{name}"], getattr(part.energy, name))
         for name in _MOMENTUM:
@@ -259,7 +260,7 @@ def load_solution(path) -> Solution:
 def _solution(file, scene: Scene, path) -> Solution:
     histories, frames = file["histories"], file["frames"]
     labels = [label for label, _, _ in scene.watch]
-    watched = {label: histories[f"watched/{_dataset_name(label)}"] for label in labels}
+    watched = {label: histories[f"watched/{dataset_name(label)}"] for label in labels}
     energy = {name: histories[f"energy/{name}"] for name in _ENERGY}
     momentum = {name: histories[f"momentum/{name}"] for name in _MOMENTUM}
     optional = ("times", "iterations", "reaction", "stable")
@@ -362,8 +363,3 @@ def _json_table(text: str) -> dict:
     if not isinstance(table, dict):
         raise RuntimeError(f"its settings are {text[:40]!r}")
     return table
-
-
-def _dataset_name(label: str) -> str:
-    """A watch label as a name that HDF5 does not read as a path; different labels have different names."""
-    return label.replace("%", "%25").replace("/", "%2F").replace(".", "%2E") or "%"

@@ -119,7 +119,7 @@ def strain_energies(solution: Solution, frame=-1) -> Float[Array, "*f m"]:
 
     ½ (e - e⁰)ᵀ K̂ (e - e⁰), eq. (61) of Yang & Xia 2014. Differentiable. Raises ValueError for a frame that is none.
     """
-    return over_frames(_energies, solution.scene, shape_of(solution, frame))
+    return over_frames(energies_of_elements, solution.scene, shape_of(solution, frame))
 
 
 # --- shapes -----------------------------------------------------------------------------------------------
@@ -137,7 +137,7 @@ def shape_of(solution: Solution, frame) -> Shape:
     return Shape(
         jnp.asarray(frames.displacements),
         jnp.asarray(frames.rotations),
-        _factors(solution.scene, times, solution.analysis == "static"),
+        strain_factors(solution.scene, times, solution.analysis == "static"),
     )
 
 
@@ -147,10 +147,11 @@ def given_shape(scene: Scene, displacements, rotations, time, static: bool) -> S
     displacements, rotations = jnp.asarray(displacements, float), jnp.asarray(rotations, float)
     check_shape("displacements", displacements, (scene.mesh.n_nodes, 3))
     check_shape("rotations", rotations, (scene.mesh.n_nodes, 3, 3))
-    return Shape(displacements, rotations, _factors(scene, jnp.asarray(time, float), static))
+    return Shape(displacements, rotations, strain_factors(scene, jnp.asarray(time, float), static))
 
 
-def _factors(scene: Scene, times, static: bool) -> tuple:
+def strain_factors(scene: Scene, times, static: bool) -> tuple:
+    """Factors of the scene's initial strains at times, or with `static` at load factors."""
     if static:
         return tuple(times for _ in scene.initial_strains)
     return tuple(load.history(times) for load in scene.initial_strains)
@@ -200,11 +201,15 @@ def turning(scene: Scene, axes) -> Float[Array, " m"] | None:
 
 def in_space(scene: Scene, shape: Shape, tensors: Float[Array, "m *p 3"]) -> Float[Array, "m *p 3 3"]:
     """Plane tensors (xx, yy, xy) in the deformed elements' axes as 3×3 tensors in space."""
-    x, d, _ = _corners(scene, shape)
-    frames, _ = jax.vmap(local_frame)((x - x[:, :1]) + (d - d[:, :1]))
-    plane = frames[:, :2]
+    plane = deformed_frames(scene, shape)[:, :2]
     matrices = jnp.stack([tensors[..., jnp.array([0, 2])], tensors[..., jnp.array([2, 1])]], axis=-2)
     return jnp.einsum("mai,m...ab,mbj->m...ij", plane, matrices, plane)
+
+
+def deformed_frames(scene: Scene, shape: Shape) -> Float[Array, "m 3 3"]:
+    """Axes e1, e2, e3 (rows) of the deformed elements."""
+    x, d, _ = _corners(scene, shape)
+    return jax.vmap(local_frame)((x - x[:, :1]) + (d - d[:, :1]))[0]
 
 
 def _forces(scene, shape, axes, at) -> SectionForces:
@@ -218,7 +223,7 @@ def _strains(scene, shape, axes, at, elastic) -> SectionStrains:
     check_choice("at", at, ("points", "mean"))
     angle = turning(scene, axes)
     whole = isinstance(axes, str) and axes == "global"
-    return _averaged(over_frames(_section_strains, scene, shape, angle, whole, elastic), shape, at)
+    return _averaged(over_frames(strains_in_axes, scene, shape, angle, whole, elastic), shape, at)
 
 
 def _averaged(found, shape: Shape, at: str):
@@ -239,7 +244,7 @@ def _section_forces(scene: Scene, shape: Shape, angle, whole: bool) -> SectionFo
 
 
 @compiled
-def _section_strains(scene: Scene, shape: Shape, angle, whole: bool, elastic: bool) -> SectionStrains:
+def strains_in_axes(scene: Scene, shape: Shape, angle, whole: bool, elastic: bool) -> SectionStrains:
     strains = strains_at_points(scene, elements_of(scene), shape)
     if elastic:
         for factor, load in zip(shape.factors, scene.initial_strains, strict=True):
@@ -256,7 +261,7 @@ def _section_strains(scene: Scene, shape: Shape, angle, whole: bool, elastic: bo
 
 
 @compiled
-def _energies(scene: Scene, shape: Shape) -> Float[Array, " m"]:
+def energies_of_elements(scene: Scene, shape: Shape) -> Float[Array, " m"]:
     elements = jax.vmap(Element.build)(scene.mesh.nodes[scene.mesh.triangles], scene.section.resultants(scene.mesh))
     if scene.initial_strains:
         rests = zip(shape.factors, rest_deformations(scene, elements), strict=True)

@@ -166,6 +166,44 @@ class Solution(eqx.Module):
 
         storage.save_solution(self, path)
 
+    def to_vtkhdf(self, path, fields="default", *, axes="global", failure=None, overwrite: bool = False) -> None:
+        """Write mesh, fields and energies at all frames to a VTKHDF file (*.vtkhdf), which ParaView opens.
+
+        Arguments:
+            path: the file; one that jaxshell wrote is replaced, another one with `overwrite` only.
+            fields: "default", "all", or a list of them: displacement, rotation, velocity; N, M, stress top, stress
+                bottom, von mises top, von mises bottom, thickness; strain, curvature, normal, strain energy; a gauge's
+                text such as "s11 ply 0 top". docs/export.md says what each is. Sets are always written.
+            axes: of N, M, stress, strain and curvature: "global", tensors in space; "element", "material" or a vector,
+                components in the elements' planes, as of `jaxshell.section_forces`.
+            failure: {criterion: strengths} as of `jaxshell.failure_index`; a field for each.
+
+        Frames are read and written a few at a time. Raises ValueError for a batch of solutions, for a field that the
+        scene does not have and for a file that must stay; OSError where nothing can be written.
+        """
+        from jaxshell.results.export.vtkhdf import save_vtkhdf
+
+        save_vtkhdf(self, path, fields, axes=axes, failure=failure, overwrite=overwrite)
+
+    def to_csv(self, path) -> None:
+        """Write the histories as a table: a line for every step below one of names, with units for scenes in SI.
+
+        An existing file is replaced. Raises ValueError for a batch of solutions; OSError where nothing can be written.
+        """
+        from jaxshell.results.export.table import save_csv
+
+        save_csv(self, path)
+
+    def to_xarray(self, fields=("displacement", "rotation", "velocity"), *, axes="global", failure=None):
+        """An `xarray.Dataset` of histories and frames, with labelled dimensions and, for scenes in SI, units.
+
+        `fields`, `axes` and `failure` are those of `to_vtkhdf`; all frames of them are read into memory. Raises
+        ImportError without xarray, ValueError for a batch of solutions and as `to_vtkhdf`.
+        """
+        from jaxshell.results.export.labelled import to_xarray
+
+        return to_xarray(self, fields, axes=axes, failure=failure)
+
     @classmethod
     def load(cls, path) -> "Solution":
         """Read a file that `save` or `simulate(output=...)` wrote; of a run that was killed, what it had written.
