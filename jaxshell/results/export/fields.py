@@ -164,8 +164,8 @@ def _checked(scene: Scene, name, layered: bool) -> str:
         raise ValueError(f"The field {name!r} is asked for by failure={{{name.removeprefix(FAILURE)!r}: strengths}}.")
     if gauge_of(name) is None:
         raise ValueError(
-            f"There is no field {shown(name)}. Choose out of default, all, {', '.join(FIELDS)}, or name a gauge such as "
-            '"Mxx", "s11 ply 0 top", "smax bottom".'
+            f"There is no field {shown(name)}. Choose out of default, all, {', '.join(FIELDS)}, or name a gauge, "
+            'as "Mxx", "s11 ply 0 top", "smax bottom".'
         )
     checked_gauge(scene, name)
     return name
@@ -199,7 +199,7 @@ class Evaluator:
             found |= {name: np.asarray(value)[:count] for name, value in values.items()}
         return {name: found[name] for name in self.chosen.changing}
 
-    def _filled(self, values) -> np.ndarray:
+    def _filled(self, values) -> Any:
         """`most` rows, the last of them repeated."""
         values = np.asarray(values)
         return np.concatenate([values, np.repeat(values[-1:], self.most - len(values), axis=0)])

@@ -33,15 +33,11 @@ def steps_of_frames(times, frame_times) -> np.ndarray | None:
 def at_frames(solution: Solution) -> Solution:
     """The solution with the histories at its frames only: NaN where it cannot be told which these are."""
     steps = steps_of_frames(solution.times, solution.frame_times)
-    if steps is None:
-        count = len(solution.frame_times)
+    count = len(solution.frame_times)
 
-        def chosen(values):
-            return np.full((count, *np.shape(values)[1:]), np.nan)
-    else:
-
-        def chosen(values):
-            return np.asarray(values)[steps]
+    def chosen(values):
+        values = np.asarray(values)
+        return np.full((count, *values.shape[1:]), np.nan) if steps is None else values[steps]
 
     return _with_histories(solution, chosen, np.asarray(solution.frame_times))
 
@@ -52,9 +48,7 @@ def in_parts(solution: Solution, size: int) -> Iterator[Solution]:
     for start in range(0, len(whole.frame_times), size):
         numbers = np.arange(start, min(start + size, len(whole.frame_times)))
         part = _with_histories(whole, lambda values, numbers=numbers: values[numbers], whole.times[numbers])
-        yield dataclasses.replace(
-            part, frame_times=whole.frame_times[numbers], frames=solution.frame(numbers.tolist())
-        )
+        yield dataclasses.replace(part, frames=solution.frame(numbers.tolist()))
 
 
 def _with_histories(solution: Solution, chosen, times) -> Solution:
@@ -62,6 +56,7 @@ def _with_histories(solution: Solution, chosen, times) -> Solution:
     return dataclasses.replace(
         solution,
         times=times,
+        frame_times=times,
         watched=watched,
         energy=energy,
         momentum=momentum,

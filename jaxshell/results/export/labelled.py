@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from jaxshell.results.export.fields import Evaluator, check_one_run, choose, thickness
-from jaxshell.results.export.units import unit, watched_quantity
+from jaxshell.results.export.histories import histories, times_are, watched
+from jaxshell.results.export.units import unit
 from jaxshell.results.hdf5 import result_name
 from jaxshell.results.solution import Solution
 
@@ -58,19 +59,14 @@ def _mesh(solution: Solution) -> dict[str, tuple]:
 
 
 def _histories(solution: Solution) -> dict[str, tuple]:
-    scene, energy, momentum = solution.scene, solution.energy, solution.momentum
-    static = solution.analysis == "static"
-    quantity = "load factor" if static else "time"
+    scene, times = solution.scene, times_are(solution)
     found = {
-        "time": _item(solution, "time", solution.times, quantity, quantity),
-        "frame_time": _item(solution, "frame_time", solution.frame_times, quantity, f"{quantity} of the frames"),
-        "kinetic_energy": _item(solution, "time", energy.kinetic, "energy", "kinetic energy"),
-        "strain_energy": _item(solution, "time", energy.strain, "energy", "strain energy"),
-        "external_work": _item(solution, "time", energy.external_work, "energy", "work of the loads since the start"),
-        "dissipated_energy": _item(solution, "time", energy.dissipated, "energy", "energy dissipated since the start"),
+        "time": _item(solution, "time", solution.times, times, times),
+        "frame_time": _item(solution, "frame_time", solution.frame_times, times, f"{times} of the frames"),
     }
-    for name, values in (("linear momentum", momentum.linear), ("angular momentum", momentum.angular)):
-        found[name.replace(" ", "_")] = _item(solution, ("time", "xyz"), values, name, name)
+    for name, (values, quantity) in histories(solution).items():
+        dims = ("time", "xyz") if np.ndim(values) == 2 else ("time",)
+        found[name.replace(" ", "_")] = _item(solution, dims, values, quantity, name)
     found["iterations"] = ("time", np.asarray(solution.iterations), {"long_name": "Newton iterations of the step"})
     if solution.stable is not None:
         found["stable"] = ("time", np.asarray(solution.stable), {"long_name": "the equilibrium is stable"})
@@ -78,11 +74,15 @@ def _histories(solution: Solution) -> dict[str, tuple]:
         found |= {
             "held_node": ("held", scene.held_dofs // 6),
             "held_dof": ("held", np.array(["ux", "uy", "uz", "rx", "ry", "rz"])[scene.held_dofs % 6]),
-            "reaction": (("time", "held"), np.asarray(solution.reaction), {"long_name": "force or moment of the support"}),
+            "reaction": (
+                ("time", "held"),
+                np.asarray(solution.reaction),
+                {"long_name": "force or moment of the support"},
+            ),
         }
     if scene.watch:
         labels, numbers, components = zip(*scene.watch, strict=True)
-        units = [unit(scene, watched_quantity(component)) for component in components]
+        units = [unit(scene, history.quantity) for history in watched(solution).values()]
         found |= {
             "watch": ("watch", list(labels)),
             "watched_number": ("watch", list(numbers), {"long_name": "node or element"}),
@@ -104,9 +104,7 @@ def _frames(solution: Solution, fields, axes, failure) -> dict[str, tuple]:
     evaluate = Evaluator(scene, chosen, solution.analysis == "static")
     count = len(solution.frame_times)
     counts = {"node": scene.mesh.n_nodes, "element": scene.mesh.n_elements}
-    values = {
-        name: np.empty((count, counts[chosen.place(name)], *chosen.shape(name))) for name in chosen.changing
-    }
+    values = {name: np.empty((count, counts[chosen.place(name)], *chosen.shape(name))) for name in chosen.changing}
     for start in range(0, count, evaluate.most):
         numbers = np.arange(start, min(start + evaluate.most, count))
         part = evaluate(np.asarray(solution.frame_times)[numbers], solution.frame(numbers.tolist()))

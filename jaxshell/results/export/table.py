@@ -4,34 +4,31 @@ import csv
 import io
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from jaxshell.results.export.fields import check_one_run
-from jaxshell.results.export.units import watched_quantity, with_unit
+from jaxshell.results.export.histories import histories, times_are, watched
+from jaxshell.results.export.units import with_unit
 from jaxshell.results.solution import Solution
 
 
 def columns(solution: Solution) -> dict[str, np.ndarray]:
     """{name, with its unit in scenes of SI: (k,)} of what the run recorded at every step."""
     check_one_run(solution, "to_csv")
-    scene, energy, momentum = solution.scene, solution.energy, solution.momentum
-    static = solution.analysis == "static"
-    found = {with_unit("load factor" if static else "time", scene, "load factor" if static else "time"): solution.times}
-    for label, _, component in scene.watch:
-        found[with_unit(f"watched {label}", scene, watched_quantity(component))] = solution.watched[label]
-    for name, values in {
-        "kinetic energy": energy.kinetic,
-        "strain energy": energy.strain,
-        "external work": energy.external_work,
-        "dissipated energy": energy.dissipated,
-    }.items():
-        found[with_unit(name, scene, "energy")] = values
-    for name, values in {"linear momentum": momentum.linear, "angular momentum": momentum.angular}.items():
+    scene, times = solution.scene, times_are(solution)
+    found: dict[str, Any] = {with_unit(times, scene, times): solution.times}
+    for label, (values, quantity) in watched(solution).items():
+        found[with_unit(f"watched {label}", scene, quantity)] = values
+    for name, (values, quantity) in histories(solution).items():
+        if np.ndim(values) == 1:
+            found[with_unit(name, scene, quantity)] = values
+        else:
+            of_axes = zip("xyz", np.asarray(values).T, strict=True)
+            found |= {with_unit(f"{name} {axis}", scene, quantity): along for axis, along in of_axes}
+    if solution.reaction is not None:
         for i, axis in enumerate("xyz"):
-            found[with_unit(f"{name} {axis}", scene, name)] = np.asarray(values)[:, i]
-    for i, axis in enumerate("xyz"):
-        if solution.reaction is not None:
             held = scene.held_dofs % 6 == i
             found[with_unit(f"reaction {axis}", scene, "force")] = np.asarray(solution.reaction)[:, held].sum(axis=1)
     found["iterations"] = solution.iterations

@@ -30,7 +30,8 @@ from jaxshell.results.checked import dataset_name, extend, growing, write_array,
 from jaxshell.results.claim import Claim
 from jaxshell.results.durable import DurableReader
 from jaxshell.results.export.fields import Chosen, Evaluator, check_one_run, choose, thickness
-from jaxshell.results.export.frames import in_parts, steps_of_frames
+from jaxshell.results.export.frames import at_frames, in_parts
+from jaxshell.results.export.histories import histories, watched
 from jaxshell.results.frames import Frames
 from jaxshell.results.hdf5 import result_name
 from jaxshell.results.output import Output
@@ -48,10 +49,6 @@ _CHUNK = 2**16
 _PLACES = "jaxshell/places"
 """Where frames begin in the arrays, as `Steps` shows it under VTK's names."""
 _GROUPS = {"node": "PointData", "element": "CellData"}
-_GLOBALS = {"energy kinetic": (), "energy strain": (), "external work": (), "energy dissipated": ()} | {
-    "momentum linear": (3,),
-    "momentum angular": (3,),
-}
 
 
 class VTKHDFWriter(Output):
@@ -82,7 +79,6 @@ class VTKHDFWriter(Output):
     def begin(self, scene: Scene, settings: dict) -> None:
         """Make a file with the mesh, which must be concrete (not traced by jit, grad or vmap), and its sets."""
         self._scene, self._chosen = scene, choose(scene, **self._asked)
-        self._labels = {f"watched {dataset_name(label)}": label for label, _, _ in scene.watch}
         self._claim = Claim(self.path, self.overwrite, _unfinished)
         with held():
             self._file = checked.create(self._claim.file)
@@ -93,7 +89,7 @@ class VTKHDFWriter(Output):
             _write_mesh(self._file, scene)
             _write_constants(self._file["VTKHDF"], scene, self._chosen)
 
-    def _make_arrays(self, static: bool) -> None:
+    def _make_arrays(self, part: Solution) -> None:
         """The datasets that grow, and those of a frame's place in them."""
         vtk, chosen = self._file["VTKHDF"], self._chosen
         steps, places = vtk["Steps"], self._file.create_group(_PLACES)
@@ -112,7 +108,7 @@ class VTKHDFWriter(Output):
             for name in (name for name in chosen.changing if chosen.place(name) == place):
                 _growing_rows(vtk[group], name, self._count(place), chosen.shape(name))
                 offsets[name] = places[place]
-        self._globals = _GLOBALS | dict.fromkeys([*self._labels, *(["load factor"] if static else [])], ())
+        self._globals = {name: np.shape(values)[1:] for name, values in self._field_data(part).items()}
         for name, shape in self._globals.items():
             growing(vtk, f"FieldData/{name}", shape)
             steps[f"FieldDataOffsets/{name}"] = places["frame"]
@@ -130,10 +126,9 @@ class VTKHDFWriter(Output):
     def append(self, part: Solution) -> None:
         """Add the frames of `part`. Raises OSError where the disk is full."""
         if self._evaluate is None:
-            static = part.analysis == "static"
-            self._evaluate = Evaluator(self._scene, self._chosen, static)
+            self._evaluate = Evaluator(self._scene, self._chosen, part.analysis == "static")
             with held():
-                self._make_arrays(static)
+                self._make_arrays(part)
         if len(part.frame_times):
             self._waiting.append((np.asarray(part.frame_times), part.frames, self._field_data(part)))
         count = sum(len(times) for times, _, _ in self._waiting)
@@ -142,20 +137,10 @@ class VTKHDFWriter(Output):
 
     def _field_data(self, part: Solution) -> dict[str, np.ndarray]:
         """Energies, momenta and what is watched, at the frames of a part."""
-        steps = steps_of_frames(part.times, part.frame_times)
-        energy, momentum = part.energy, part.momentum
-        values = {
-            "energy kinetic": energy.kinetic,
-            "energy strain": energy.strain,
-            "external work": energy.external_work,
-            "energy dissipated": energy.dissipated,
-            "momentum linear": momentum.linear,
-            "momentum angular": momentum.angular,
-            **{name: part.watched[label] for name, label in self._labels.items()},
-        }
-        assert steps is not None  # a part's frames are those of its steps
-        found = {name: np.asarray(value)[steps] for name, value in values.items()}
-        return found | ({"load factor": np.asarray(part.frame_times)} if "load factor" in self._globals else {})
+        part = at_frames(part)
+        named = {f"watched {dataset_name(label)}": history for label, history in watched(part).items()}
+        found = {name: np.asarray(history.values) for name, history in (histories(part) | named).items()}
+        return found | ({"load factor": part.times} if part.analysis == "static" else {})
 
     def _write(self) -> None:
         """What waits, part by part of what is computed at a time, and commit it."""
@@ -237,9 +222,7 @@ class VTKHDFWriter(Output):
 def save_vtkhdf(solution: Solution, path, fields="default", *, axes="global", failure=None, overwrite=False) -> None:
     """Write a solution, some frames at a time. Raises as `VTKHDFWriter`, and ValueError for a batch of solutions."""
     check_one_run(solution, "to_vtkhdf")
-    with contextlib.closing(
-        VTKHDFWriter(path, fields, axes=axes, failure=failure, overwrite=overwrite)
-    ) as writer:
+    with contextlib.closing(VTKHDFWriter(path, fields, axes=axes, failure=failure, overwrite=overwrite)) as writer:
         writer.begin(solution.scene, dict(solution.stats))
         for part in in_parts(solution, writer.frames_at_once):
             writer.append(part)
