@@ -64,7 +64,7 @@ FIELDS = {
     "strain": Field("element", "strain", "strain of the surface of the nodes", usual=False),
     "curvature": Field("element", "curvature", "change of curvature", usual=False),
     "normal": Field("element", "none", "normal, which points to the top", usual=False),
-    "strain energy": Field("element", "energy", "strain energy of the element", usual=False),
+    "element strain energy": Field("element", "energy", "strain energy of the element", usual=False),
 }
 TENSORS = ("N", "M", "stress top", "stress bottom", "strain", "curvature")
 """Fields whose components depend on axes: 6 in space, xx, yy, zz, xy, yz, xz, or 3 in a plane, xx, yy, xy."""
@@ -189,13 +189,12 @@ class Evaluator:
         """{name: (f, n or m, *shape)} of f ≤ `most` frames."""
         times = np.asarray(times, float)
         count = len(times)
-        given = {"displacement": frames.displacements, "velocity": frames.velocities}
-        found = {name: np.asarray(given[name]) for name in self.chosen.changing if name in given}
-        computed = tuple(name for name in self.chosen.changing if name not in given)
+        known = {"displacement": frames.displacements, "velocity": frames.velocities}
+        found = {name: np.asarray(known[name]) for name in self.chosen.changing if name in known}
+        computed = tuple(name for name in self.chosen.changing if name not in known)
         if computed:
-            factors = strain_factors(self.scene, self._filled(times), self.static)
-            shapes = Shape(self._filled(frames.displacements), self._filled(frames.rotations), factors)
-            values = _values(self.scene, self.chosen, computed, shapes, np.asarray(count))
+            given = [self._filled(each) for each in (times, frames.displacements, frames.rotations)]
+            values = _values(self.scene, self.chosen, computed, self.static, given, np.asarray(count))
             found |= {name: np.asarray(value)[:count] for name, value in values.items()}
         return {name: found[name] for name in self.chosen.changing}
 
@@ -206,16 +205,19 @@ class Evaluator:
 
 
 @compiled
-def _values(scene: Scene, chosen: Chosen, names: tuple[str, ...], shapes: Shape, count) -> dict[str, Array]:
-    """The fields of the first `count` shapes; of the others zeros."""
-    one = _of_one(scene, chosen, names)
-    like = jax.eval_shape(one, jax.tree.map(lambda a: a[0], shapes))
-    rows = len(shapes.displacements)
-    found = jax.tree.map(lambda a: jnp.zeros((rows, *a.shape), a.dtype), like)
+def _values(scene: Scene, chosen: Chosen, names: tuple[str, ...], static: bool, given, count) -> dict[str, Array]:
+    """The fields of the first `count` frames, given as times, displacements, rotations; of the others zeros."""
+    of_shape = _of_one(scene, chosen, names)
+
+    def one(k):
+        time, displacements, rotations = (jnp.asarray(each)[k] for each in given)
+        return of_shape(Shape(displacements, rotations, strain_factors(scene, time, static)))
+
+    rows = len(given[0])
+    found = jax.tree.map(lambda a: jnp.zeros((rows, *a.shape), a.dtype), jax.eval_shape(one, 0))
 
     def add(k, found):
-        values = one(jax.tree.map(lambda a: jnp.asarray(a)[k], shapes))
-        return jax.tree.map(lambda rows, value: rows.at[k].set(value), found, values)
+        return jax.tree.map(lambda rows, value: rows.at[k].set(value), found, one(k))
 
     return jax.lax.fori_loop(0, count, add, found)
 
@@ -246,8 +248,8 @@ def _of_one(scene: Scene, chosen: Chosen, names: tuple[str, ...]):
             found["rotation"] = jax.vmap(rotations.log)(shape.rotations)
         if "normal" in names:
             found["normal"] = deformed_frames(scene, shape)[:, 2]
-        if "strain energy" in names:
-            found["strain energy"] = energies_of_elements(scene, shape)
+        if "element strain energy" in names:
+            found["element strain energy"] = energies_of_elements(scene, shape)
         for criterion, strengths in chosen.strengths.items():
             found[f"{FAILURE}{criterion}"] = index_in_shape(scene, shape, strengths, criterion, True)
         return {name: found[name] for name in names}

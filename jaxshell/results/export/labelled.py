@@ -52,9 +52,10 @@ def _mesh(solution: Solution) -> dict[str, tuple]:
         "position": _item(solution, ("node", "xyz"), mesh.nodes, "length", "nodes of the mesh"),
         "triangles": (("element", "corner"), np.asarray(mesh.triangles), {"long_name": "nodes of the elements"}),
     }
-    for name, elements in mesh.element_sets.items():
-        inside = np.isin(np.arange(mesh.n_elements), elements)
-        found[f"element_set {name}"] = ("element", inside, {"long_name": f"in the set of elements {name!r}"})
+    for what, sets, count in (("element", mesh.element_sets, mesh.n_elements), ("node", mesh.node_sets, mesh.n_nodes)):
+        for name, numbers in sets.items():
+            inside = np.isin(np.arange(count), numbers)
+            found[f"{what}_set_{name}"] = (what, inside, {"long_name": f"in the set of {what}s {name!r}"})
     return found
 
 
@@ -126,5 +127,5 @@ def _frames(solution: Solution, fields, axes, failure) -> dict[str, tuple]:
 
 
 def _python_name(name: str) -> str:
-    """A field's name without spaces and signs; elements' strain energies beside the whole shell's."""
-    return "element_strain_energy" if name == "strain energy" else name.replace(" ", "_").replace("-", "_")
+    """A field's name without spaces and signs."""
+    return name.replace(" ", "_").replace("-", "_")

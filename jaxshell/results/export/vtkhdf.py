@@ -15,6 +15,7 @@ the last commit while the run goes on, and after it was stopped or killed.
 """
 
 import contextlib
+import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -73,7 +74,7 @@ class VTKHDFWriter(Output):
         self._waiting: list[tuple] = []
         """(times, frames, values of the field data) of parts that are not written yet."""
         self._times: list[float] = []
-        self._written = 0.0
+        self._written = -math.inf
         self._sound = False
 
     def begin(self, scene: Scene, settings: dict) -> None:
@@ -251,6 +252,10 @@ def _write_constants(vtk, scene: Scene, chosen: Chosen) -> None:
     mesh = scene.mesh
     for name, elements in mesh.element_sets.items():
         write_array(vtk["CellData"], f"set {dataset_name(name)}", _inside(mesh.n_elements, elements))
+    for name, nodes in mesh.node_sets.items():
+        write_array(vtk["PointData"], f"set {dataset_name(name)}", _inside(mesh.n_nodes, nodes))
+    for name, sides in mesh.side_sets.items():
+        write_array(vtk["PointData"], f"sides {dataset_name(name)}", _inside(mesh.n_nodes, sides))
     if "thickness" in chosen.names:
         write_array(vtk["CellData"], "thickness", np.asarray(thickness(scene)))
 
