@@ -150,10 +150,11 @@ def test_vtk_draws_the_deformed_shell(solution, tmp_path):
     """Off-screen, warped by the displacement and coloured by von Mises' stress: neither blank nor of one colour."""
     pyvista = pytest.importorskip("pyvista")
     solution.to_vtkhdf(tmp_path / "a.vtkhdf", ["displacement", "von mises top"])
-    reader = pyvista.get_reader(tmp_path / "a.vtkhdf")
-    reader.set_active_time_value(reader.time_values[-1])
+    read = Read(tmp_path / "a.vtkhdf")
+    read.frame(10)
+    shell = pyvista.wrap(read.reader.GetOutput())
     plotter = pyvista.Plotter(off_screen=True, window_size=(400, 300))
-    plotter.add_mesh(reader.read().warp_by_vector("displacement"), scalars="von mises top", show_scalar_bar=False)
+    plotter.add_mesh(shell.warp_by_vector("displacement"), scalars="von mises top", show_scalar_bar=False)
     image = np.asarray(plotter.screenshot(tmp_path / "a.png"))
     plotter.close()
     background = (image == image[0, 0]).all(axis=2)
@@ -302,15 +303,15 @@ def test_statics_that_unload_are_counted_and_say_their_load_factors(strip, tmp_p
 
 @pytest.mark.slow
 def test_statics_streams(strip, tmp_path):
-    solution = js.solve_static(strip, [0.5, 1.0, 0.2], output=tmp_path / "a.vtkhdf")
+    solution = js.solve_static(strip, [5e-4, 1e-3, 2e-4], output=tmp_path / "a.vtkhdf")
     found = Read(tmp_path / "a.vtkhdf")
     assert found.times.tolist() == [0.0, 1.0, 2.0, 3.0]
     close(found.frame(3)["displacement"], solution.displacements[3])
-    assert found.frame(3)["load factor"] == [0.2]
+    assert found.frame(3)["load factor"] == [2e-4]
     solution.to_csv(tmp_path / "a.csv")
     with (tmp_path / "a.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [float(row["load factor"]) for row in rows] == [0.0, 0.5, 1.0, 0.2]
+    assert [float(row["load factor"]) for row in rows] == [0.0, 5e-4, 1e-3, 2e-4]
     assert [row["stable"] for row in rows] == ["1", "1", "1", "1"]
 
 
