@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -233,7 +232,7 @@ def _outputs_of(given) -> tuple[Output, ...]:
         return (given,)
     if isinstance(given, Sequence) and not isinstance(given, str | bytes):
         return tuple(output for item in given for output in _outputs_of(item))
-    if Path(given).suffix == ".vtkhdf":
+    if str(given).endswith(".vtkhdf"):
         from jaxshell.results.export.vtkhdf import VTKHDFWriter
 
         return (VTKHDFWriter(given),)

@@ -141,7 +141,7 @@ class VTKHDFWriter(Output):
         part = at_frames(part)
         named = {f"watched {dataset_name(label)}": history for label, history in watched(part).items()}
         found = {name: np.asarray(history.values) for name, history in (histories(part) | named).items()}
-        return found | ({"load factor": part.times} if part.analysis == "static" else {})
+        return found | ({"load factor": np.asarray(part.times)} if part.analysis == "static" else {})
 
     def _write(self) -> None:
         """What waits, part by part of what is computed at a time, and commit it."""
