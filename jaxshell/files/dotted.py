@@ -86,7 +86,8 @@ def _new(path: str, before, value, factor: bool):
         return value
     if isinstance(before, list | dict):
         raise ValueError(
-            f"{path} is {shown(before)}, not one number. Vary an entry of it, such as {path}.1, or give factors: x0.9:1.1:5."
+            f"{path} is {shown(before)}, not one number. Vary an entry of it, such as {path}.1, or give factors: "
+            "x0.9:1.1:5."
         )
     if isinstance(before, str | bool):
         raise ValueError(f"{path} is {shown(before)}, not a number; it takes texts only.")

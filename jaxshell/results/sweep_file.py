@@ -195,9 +195,7 @@ def sweep_of(
     def column(name: str, *shape: int) -> np.ndarray:
         return table[name] if name in table else np.full((size, *shape), np.nan)
 
-    by_label = {
-        name: dict(zip(labels, np.moveaxis(column(name, len(labels)), 1, 0), strict=True)) for name in EXTREMES
-    }
+    by_label = {name: dict(zip(labels, np.moveaxis(column(name, len(labels)), 1, 0), strict=True)) for name in EXTREMES}
     frames = None
     if "frame times" in table:
         frames = {name: table[f"frame {name}"] for name in _FRAMES}
@@ -259,5 +257,5 @@ def _check_schema(file, path) -> None:
         raise ValueError(f"{path} is an HDF5 file, but no sweep of jaxshell's.")
     if file.attrs.get("schema") != SCHEMA:
         raise ValueError(
-            f"{path} has schema {file.attrs.get('schema')}, and this version of jaxshell reads sweeps of schema {SCHEMA}."
+            f"{path} has schema {file.attrs.get('schema')}, and this version of jaxshell reads schema {SCHEMA} of sweeps."
         )

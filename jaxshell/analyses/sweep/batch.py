@@ -47,7 +47,7 @@ def batch_of(members: Sequence[Member], rows: int) -> Batch:
     padded = [*members, *[members[-1]] * (rows - len(members))]
     leaves = tuple(np.stack(values) for values in zip(*(member.leaves for member in padded), strict=True))
     first = members[0]
-    steps = None if first.steps is None else np.stack([member.steps for member in padded])
+    steps = None if first.steps is None else np.stack([np.asarray(member.steps) for member in padded])
     return Batch(tuple(member.number for member in members), first.case, leaves, steps)
 
 
@@ -138,7 +138,7 @@ def _rows(labels: list[str], outputs: dict, kept: Kept) -> dict[str, np.ndarray]
 def _quaternions(rotations: np.ndarray) -> np.ndarray:
     there = np.isfinite(rotations).all(axis=(-1, -2), keepdims=True)
     found = matrices_to_quaternions(np.where(there, rotations, np.eye(3)))
-    return np.where(there[..., 0], found, np.nan)
+    return np.where(np.squeeze(there, -1), found, np.nan)
 
 
 def _balance(energy: list[np.ndarray], finished: np.ndarray) -> np.ndarray:

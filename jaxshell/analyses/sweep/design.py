@@ -12,7 +12,7 @@ Samples come from `scipy.stats.qmc`; the same seed gives the same members.
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,6 +34,10 @@ class Design(NamedTuple):
     @property
     def size(self) -> int:
         return len(next(iter(self.parameters.values())))
+
+    def member(self, number: int) -> dict[str, Any]:
+        """{name: value} of one member."""
+        return {name: values[number] for name, values in self.parameters.items()}
 
 
 def design(vary: Mapping[str, Varied], sample: str = "grid", seed: int = 0) -> Design:

@@ -1,5 +1,6 @@
-"""One member of a sweep before it runs: checked, and taken apart into numbers and the structure that a program is of."""
+"""One member of a sweep before it runs: checked, and taken apart into its numbers and the structure of its program."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -33,6 +34,10 @@ class Case(NamedTuple):
     """A number, an array of step sizes, or a StepControl."""
     t_end: float | None
     options: Options
+
+
+CaseOf = Callable[[dict[str, Any]], Case]
+"""The case of a member with these parameters. Raises ValueError where they make none."""
 
 
 class Member(NamedTuple):

@@ -5,14 +5,11 @@ batch. So a sweep of any size takes the memory of a few batches besides its resu
 """
 
 import contextlib
-import inspect
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from jaxshell.analyses.driver import RESULT_NAMES
@@ -20,10 +17,10 @@ from jaxshell.analyses.step_control import StepControl
 from jaxshell.analyses.sweep import workers as pool
 from jaxshell.analyses.sweep.batch import Batch, Kept, Quantities, batch_of
 from jaxshell.analyses.sweep.design import Design, design
-from jaxshell.analyses.sweep.fingerprint import fingerprint
-from jaxshell.analyses.sweep.member import Case, Member, Options, prepared
+from jaxshell.analyses.sweep.identity import fingerprints, sweep_before
+from jaxshell.analyses.sweep.making import called, check_used, maker
+from jaxshell.analyses.sweep.member import Case, CaseOf, Member, Options, prepared
 from jaxshell.analyses.sweep.varied import varied
-from jaxshell.files.quoted import quote
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import check_count, check_finite, require_float64, shown
 from jaxshell.results.sweep import REFUSED, SUCCESSFUL, Sweep
@@ -32,8 +29,6 @@ from jaxshell.solvers.newton import Newton
 
 POINTS = 201
 """Times of histories that are not those of the steps."""
-CaseOf = Callable[[dict[str, Any]], Case]
-"""The case of a member with these parameters. Raises ValueError where they make none."""
 
 
 def sweep(
@@ -64,10 +59,10 @@ def sweep(
         scene: a function that makes the scene of a member from parameters by name; or a scene, whose floats vary.
         vary: {name: values}. Values are a list or an array (N, ...), a distribution of `scipy.stats` such as
             norm(0.4, 0.02), or a text such as "0.3:0.5:20" (`jaxshell.analyses.sweep.varied` lists them). Where `scene`
-            is a scene {name: (where, values)}, with `where` as `equinox.tree_at` takes it: lambda s: s.section.thickness.
+            is a scene {name: (where, values)}, `where` as `equinox.tree_at` takes it: lambda s: s.section.thickness.
         method, dt, t_end: as `simulate` takes them; or functions of parameters by name, for what varies.
-        sample: which members there are: "grid" (all combinations), "zip", "latin:N", "sobol:N", "random:N", "saltelli:N"
-            (`jaxshell.analyses.sweep.design`).
+        sample: which members there are: "grid" (all combinations), "zip", "latin:N", "sobol:N", "random:N" or
+            "saltelli:N" (`jaxshell.analyses.sweep.design`).
         seed: of a sample; the same seed gives the same members.
         times: of the histories that are kept: an array, or a number of times from 0 to the end. None is every step, or
             201 times where members have different steps.
@@ -91,14 +86,14 @@ def sweep(
     require_float64()
     if not isinstance(vary, Mapping):
         raise ValueError(f"vary must be {{name: values}}, but it is {shown(vary)}.")
-    make, values = _maker(scene, vary)
+    make, values = maker(scene, vary)
     plan = design({name: varied(name, given) for name, given in values.items()}, sample, seed)
     options = Options(Newton() if newton is None else newton, tangent, linear_solver)
-    functions = {"scene": make, "method": method, "dt": dt, "t_end": t_end}
-    _check_used(functions, plan)
+    functions: dict[str, Any] = {"scene": make, "method": method, "dt": dt, "t_end": t_end}
+    check_used(functions, plan)
 
     def case_of(parameters: dict[str, Any]) -> Case:
-        return Case(*(_called(function, parameters) for function in functions.values()), options)
+        return Case(**{what: called(function, parameters) for what, function in functions.items()}, options=options)
 
     alike = not callable(dt) and not callable(t_end) and not isinstance(dt, StepControl)
     asked = {"sample": sample, "seed": seed, "vary": {name: varied(name, v).text for name, v in values.items()}}
@@ -150,9 +145,9 @@ def run_sweep(
         "labels": [label for label, _, _ in first.case.scene.watch],
         "quantities": list(quantities),
         "save_every": save_every,
-        **_fingerprints(plan, case_of, first, shown_times),
+        **fingerprints(plan, case_of, first, shown_times),
     }
-    before = _before(output, settings) if goes_on else None
+    before = sweep_before(output, settings) if goes_on else None
     run = _Run(plan, case_of, settings, before, say)
     with contextlib.ExitStack() as stack:
         if output is not None:
@@ -196,7 +191,7 @@ class _Run:
         rows: dict[Any, int] = {}
         for number in todo:
             try:
-                member = prepared(int(number), self.case_of(parameters_of(self.plan, int(number))))
+                member = prepared(int(number), self.case_of(self.plan.member(int(number))))
             except ValueError as error:
                 self.refused.append((int(number), str(error)))
                 continue
@@ -215,8 +210,8 @@ class _Run:
         labels = [label for label, _, _ in member.case.scene.watch]
         if labels != list(self.settings["labels"]):
             raise ValueError(
-                f"All members must watch the same: member {member.number} watches {', '.join(labels) or 'nothing'}, and "
-                f"the first {', '.join(self.settings['labels']) or 'nothing'}."
+                f"All members must watch the same: member {member.number} watches {', '.join(labels) or 'nothing'}, "
+                f"and the first {', '.join(self.settings['labels']) or 'nothing'}."
             )
 
     def receive(self, batch: Batch, found) -> None:
@@ -258,20 +253,18 @@ class _Run:
     def result(self, scene: Scene, times: np.ndarray) -> Sweep:
         """The sweep. Raises RuntimeError where members were lost."""
         if not self.parts:
-            raise ValueError(f"No member of the sweep is a valid run. Member {self.refused[0][0]}: {self.refused[0][1]}")
+            raise ValueError(
+                f"No member of the sweep is a valid run. Member {self.refused[0][0]}: {self.refused[0][1]}"
+            )
         rows = {name: np.concatenate([part[name] for part in self.parts]) for name in self.parts[0]}
         found = sweep_of(scene, self.settings, self.plan.parameters, times, placed(rows, self.plan.size), self.messages)
         if self.lost:
             raise RuntimeError(
-                f"{len(self.lost)} of {self.plan.size} members were given up, since workers died of them (out of memory?): "
-                "what ended is in the output file, if there is one. Run the same sweep again with a smaller batch."
+                f"{len(self.lost)} of {self.plan.size} members were given up, since workers died of them (out of "
+                "memory?): what ended is in the output file, if there is one. Run the same sweep again with a smaller "
+                "batch."
             )
         return found
-
-
-def parameters_of(plan: Design, number: int) -> dict[str, Any]:
-    """{name: value} of a member."""
-    return {name: values[number] for name, values in plan.parameters.items()}
 
 
 def _refused_rows(numbers: np.ndarray, messages, like: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -284,64 +277,6 @@ def _refused_rows(numbers: np.ndarray, messages, like: dict[str, np.ndarray]) ->
     said = np.empty(len(numbers), object)
     said[:] = messages
     return {"number": numbers, **rows, "result": np.full(len(numbers), REFUSED), "message": said}
-
-
-def _maker(scene, vary: Mapping[str, Any]) -> tuple[Callable[..., Scene], dict[str, Any]]:
-    """The function that makes a member's scene, and the values of each parameter."""
-    if not isinstance(scene, Scene):
-        if not callable(scene):
-            raise ValueError(f"scene must be a jaxshell.Scene or a function that makes one, but it is {shown(scene)}.")
-        return scene, dict(vary)
-    wheres = {}
-    for name, given in vary.items():
-        if not isinstance(given, tuple) or len(given) != 2 or not callable(given[0]):
-            raise ValueError(
-                f"Of a scene, {name} varies as (where, values), such as (lambda s: s.section.thickness, [0.3, 0.4]), but "
-                f"it is {shown(given)}. Or pass a function that makes the scene."
-            )
-        wheres[name] = given[0]
-
-    def changed(**parameters) -> Scene:
-        for name, value in parameters.items():
-            check_finite(name, value)
-        return eqx.tree_at(
-            lambda s: tuple(where(s) for where in wheres.values()),
-            scene,
-            tuple(_shaped(name, where(scene), parameters[name]) for name, where in wheres.items()),
-        )
-
-    return changed, {name: given[1] for name, given in vary.items()}
-
-
-def _shaped(name: str, before, value):
-    """A value in the place of `before`; one number for each of its entries."""
-    if np.ndim(value) and np.shape(value) != np.shape(before):
-        raise ValueError(f"{name} has values of shape {np.shape(value)} in the place of shape {np.shape(before)}.")
-    return jnp.broadcast_to(jnp.asarray(value, float), np.shape(before))
-
-
-def _takes(function, name: str) -> bool:
-    """Whether a function takes a parameter of this name."""
-    known = inspect.signature(function).parameters
-    return name in known or any(parameter.kind is parameter.VAR_KEYWORD for parameter in known.values())
-
-
-def _is_function(value) -> bool:
-    return inspect.isroutine(value) or (callable(value) and not isinstance(value, eqx.Module | type))
-
-
-def _called(function, parameters: dict[str, Any]):
-    """What a function makes of the parameters that it takes; anything else stands for itself."""
-    if not _is_function(function):
-        return function
-    return function(**{name: value for name, value in parameters.items() if _takes(function, name)})
-
-
-def _check_used(functions: dict[str, Any], plan: Design) -> None:
-    made = {what: function for what, function in functions.items() if _is_function(function)}
-    for name in plan.parameters:
-        if not any(_takes(function, name) for function in made.values()):
-            raise ValueError(f"No function takes {name!r}: it is no parameter of {', '.join(made)}.")
 
 
 def _check_numbers(batch, workers, save_every, alike: bool) -> None:
@@ -358,7 +293,7 @@ def _first(plan: Design, case_of: CaseOf) -> Member:
     reason = ""
     for number in range(plan.size):
         try:
-            return prepared(number, case_of(parameters_of(plan, number)))
+            return prepared(number, case_of(plan.member(number)))
         except ValueError as error:
             reason = reason or str(error)
     raise ValueError(f"No member of the sweep is a valid run. The first: {reason}")
@@ -393,48 +328,5 @@ def _longest(first: Member, plan: Design, case_of: CaseOf, alike: bool) -> float
     longest = end(first.case)
     for number in () if alike else range(plan.size):
         with contextlib.suppress(ValueError):
-            longest = max(longest, end(case_of(parameters_of(plan, number))))
+            longest = max(longest, end(case_of(plan.member(number))))
     return longest
-
-
-def _fingerprints(plan: Design, case_of: CaseOf, first: Member, times: np.ndarray) -> dict[str, str]:
-    """What makes a sweep another one, besides what was asked for: numbers of the members, the scene, how it is run."""
-    last = None
-    with contextlib.suppress(ValueError):
-        last = case_of(parameters_of(plan, plan.size - 1))
-    cases = [case for case in (first.case, last) if case is not None]
-    dt = first.case.dt
-    return {
-        "members": fingerprint(plan.parameters),
-        "scene": fingerprint([case.scene for case in cases]),
-        "method": " to ".join(dict.fromkeys(quote(case.method) for case in cases)),
-        "newton": " to ".join(dict.fromkeys(quote(case.options.newton) for case in cases)),
-        "tangent": first.case.options.tangent,
-        "dt": quote(dt) if isinstance(dt, StepControl) else fingerprint([case.dt for case in cases]),
-        "times": fingerprint(times),
-    }
-
-
-def _before(output, settings: dict) -> Sweep:
-    """The sweep in the file. Raises ValueError where it is another."""
-    found = Sweep.load(output)
-    said, now = (_plain(one) for one in (found.settings, settings))
-    differs = [key for key in now if said.get(key) != now[key]]
-    if differs:
-        key = differs[0]
-        of_ours = key in ("members", "scene", "dt", "times")
-        words = "" if of_ours else f" (it was {shown(said.get(key))}, and is {shown(now[key])})"
-        raise ValueError(
-            f"{output} holds another sweep: another {key}{words}. Choose another name, or replace it with --overwrite, "
-            "sweep(..., overwrite=True)."
-        )
-    return found
-
-
-def _plain(settings: dict) -> dict:
-    """As it comes back from a file."""
-    import json
-
-    from jaxshell.results.tree import to_json
-
-    return json.loads(to_json(settings))

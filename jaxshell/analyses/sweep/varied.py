@@ -141,8 +141,8 @@ def _distribution(name: str, kind: str, inside: str) -> Any:
     if kind not in _DISTRIBUTIONS:
         raise ValueError(f"{name}: there is no distribution {kind!r}. Choose out of {', '.join(_DISTRIBUTIONS)}.")
     words, make = _DISTRIBUTIONS[kind]
-    numbers = [_number(piece) for piece in inside.split(",")]
-    if len(numbers) != len(words) or None in numbers:
+    numbers = [found for piece in inside.split(",") if (found := _number(piece)) is not None]
+    if len(numbers) != len(words) or inside.count(",") != len(words) - 1:
         raise ValueError(f"{name}: write {kind}({', '.join(words)}) with numbers, but it is {kind}({inside}).")
     said = dict(zip(words, numbers, strict=True))
     low, high = said.get("low", -math.inf), said.get("high", math.inf)

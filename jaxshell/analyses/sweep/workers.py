@@ -1,7 +1,7 @@
 """Where batches run: in this process, or in the workers of a Dask cluster.
 
-Both take batches as they come and give (batch, rows or error) as they end. A worker that dies has its batches done again
-by others; after the third death a batch is given up as `Lost`.
+Both take batches as they come and give (batch, rows or error) as they end. A worker that dies has its batches done
+again by others; a batch that several workers died of is given up as `Lost`.
 """
 
 import contextlib
