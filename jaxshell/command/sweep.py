@@ -81,7 +81,12 @@ def _sweep(options: argparse.Namespace) -> int:
             plan,
             cases,
             alike=not any(name.startswith(_STEPS) for name in axes) and not cases.controlled,
-            asked={"sample": options.sample, "seed": options.seed, "vary": {n: axis.text for n, axis in axes.items()}},
+            asked={
+                "sample": options.sample,
+                "seed": options.seed,
+                "vary": {name: axis.text for name, axis in axes.items()},
+                "factors": sorted(cases.factors),
+            },
             times=options.points,
             quantities={},
             save_every=cases.save_every if options.frames else None,
@@ -152,9 +157,11 @@ class _Cases:
         settings = settled(options, settings, scene)
         self.controlled, self.save_every = settings.step_tolerance is not None, settings.save_every
         self.mesh = scene.mesh
+        self.responses = [f"{label} {word}" for label, _, _ in scene.watch for word in ("min", "max", "end")]
 
     def check(self, plan) -> None:
-        """Raise ValueError for keys that the file does not have, or that the command line holds fast."""
+        """Raise ValueError for keys that the file does not have, or that the command line holds fast, and quantities
+        that it does not watch."""
         from jaxshell.files.dotted import with_values
 
         with_values(self.content, plan.member(0), self.factors)
@@ -164,6 +171,10 @@ class _Cases:
                 raise ValueError(f"{name} varies, but --{key.replace('_', '-')} holds it fast: leave one of them out.")
             if name.startswith("run.") and key in ("save_every", "picture_times", "reactions"):
                 raise ValueError(f"{name} changes nothing that a sweep keeps.")
+        for what in self.options.quantity or ():
+            if what not in self.responses:
+                known = ", ".join(self.responses) or "none, since the file watches nothing"
+                raise ValueError(f"There is no quantity {what!r}. Choose out of {known}.")
         if any(name.startswith("mesh.") for name in plan.parameters):
             self.mesh = None
 

@@ -17,7 +17,7 @@ def describe_design(name: str, plan: Design, axes: Mapping[str, Varied], sample:
     """The scene, how many members, and what each parameter runs through."""
     drawn = plan.kind not in ("grid", "zip")
     seeded = f", seed {seed}" if drawn else ""
-    lines = [f"{name}: {plan.size} members, {sample}{seeded}"]
+    lines = [f"{name}: {plan.size} member{'s' if plan.size > 1 else ''}, {sample}{seeded}"]
     for key, axis in axes.items():
         line = f"  {key}: {axis.text}"
         if drawn and axis.span is not None:

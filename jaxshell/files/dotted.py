@@ -84,7 +84,9 @@ def _new(path: str, before, value, factor: bool):
         if before is not None and not isinstance(before, str) and path != "run.method":
             raise ValueError(f"{path} is {shown(before)}, and cannot be the text {value!r}.")
         return value
-    if isinstance(before, list | dict):
+    if isinstance(before, dict):
+        raise ValueError(f"{path} is a table: vary one of its keys, {', '.join(before) or 'of which it has none'}.")
+    if isinstance(before, list):
         raise ValueError(
             f"{path} is {shown(before)}, not one number. Vary an entry of it, such as {path}.1, or give factors: "
             "x0.9:1.1:5."

@@ -116,14 +116,7 @@ def _bars(sweep: Sweep, found: Sensitivities) -> Figure:
     panel.invert_yaxis()
     panel.grid(axis="y", visible=False)
     panel.axvline(0.0, color=BLACK, linewidth=0.8)
-    if found.estimate == REGRESSION:
-        text = "Standardised regression coefficient"
-    else:
-        text = (
-            "Share of the variance (main effect)" if found.estimate == MAIN else "First-order Sobol index (line: total)"
-        )
-        panel.set_xlim(left=min(0.0, panel.get_xlim()[0]))
-    panel.set_xlabel(text)
+    panel.set_xlabel(_MEANING[found.estimate])
     figure.suptitle(_title(sweep), fontsize=9.5)
     figure.legend(*panel.get_legend_handles_labels(), loc="outside lower center", ncols=min(count, 3))
     return figure
@@ -141,7 +134,7 @@ def _scatter(sweep: Sweep, parameters: list[str], names: list[str]) -> Figure:
             panel = panels[row, column]
             panel.plot(sweep.parameters[key][usable], values / divisor, ".", color=VERMILLION, markersize=4)
             if row == len(names) - 1:
-                panel.set_xlabel(plain(key))
+                panel.set_xlabel(plain(f"{key} (factor)" if key in sweep.settings.get("factors", ()) else key))
         panels[row, 0].set_ylabel(f"{plain(name)}{unit}")
     figure.suptitle(_title(sweep), fontsize=9.5)
     return figure

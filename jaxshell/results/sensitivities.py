@@ -7,13 +7,11 @@ The design decides what can be estimated:
     random, latin, sobol    standardised regression coefficients β_i of y = β_0 + Σ β_i x_i, both in units of their
     and zip                 deviations. β_i² is S_i as far as y is linear and the parameters are independent; R² says
                             how linear it is.
-    saltelli                Sobol's first-order indices S_i, and the total ones (Saltelli et al. 2010; by
-                            `scipy.stats.sobol_indices`), without any assumption on y. Where members failed, from as
-                            many base points as are whole, down to a power of two.
+    saltelli                Sobol's first-order indices S_i, and the total ones (Saltelli et al. 2010), without any
+                            assumption on y; from the base points of which no member failed.
 """
 
 import dataclasses
-import warnings
 from collections.abc import Mapping
 
 import numpy as np
@@ -110,30 +108,25 @@ def _regression(parameters, responses, usable) -> Sensitivities:
 
 
 def _sobol(parameters, responses, usable) -> Sensitivities:
-    from scipy.stats import sobol_indices
-
+    """The estimators of Saltelli et al. 2010, Table 2 (b) and (f), as `scipy.stats.sobol_indices` has them; that takes
+    a power of two of base points only, which failed members leave no more."""
     width = len(parameters)
     count = len(usable) // (width + 2)
-    # A base point counts where all its d + 2 members have ended.
-    rows = usable.reshape(width + 2, count) & np.all(
-        [np.isfinite(y).reshape(width + 2, count) for y in responses.values()], axis=0
-    )
-    kept = np.flatnonzero(rows.all(axis=0))
-    if len(kept) < 2:
-        raise ValueError(f"{len(kept)} of {count} base points have all their members: too few for Sobol indices.")
-    kept = kept[: 1 << (len(kept).bit_length() - 1)]  # scipy takes a power of two
+    rows = usable & np.all([np.isfinite(y) for y in responses.values()], axis=0)
+    kept = rows.reshape(width + 2, count).all(axis=0)
+    if kept.sum() < 2:
+        raise ValueError(f"{kept.sum()} of {count} base points have all their members: too few for Sobol indices.")
     values, total = {}, {}
     for name, y in responses.items():
         table = y.reshape(width + 2, count)[:, kept]
         if not _varies(table):
             values[name] = total[name] = np.full(width, np.nan)
             continue
-        f_A, f_B, f_AB = table[0][None], table[1][None], table[2:][:, None]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)
-            found = sobol_indices(func={"f_A": f_A, "f_B": f_B, "f_AB": f_AB}, n=len(kept))
-        values[name], total[name] = np.ravel(found.first_order), np.ravel(found.total_order)
-    return Sensitivities(SOBOL, tuple(parameters), values, total, members=(width + 2) * len(kept))
+        f_A, f_B, *f_AB = table - table[:2].mean()
+        variance = np.var(table[:2])
+        values[name] = np.array([np.mean(f_B * (mixed - f_A)) for mixed in f_AB]) / variance
+        total[name] = np.array([np.mean((f_A - mixed) ** 2) / 2 for mixed in f_AB]) / variance
+    return Sensitivities(SOBOL, tuple(parameters), values, total, members=(width + 2) * int(kept.sum()))
 
 
 def _varies(y: np.ndarray) -> bool:

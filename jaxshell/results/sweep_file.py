@@ -257,5 +257,5 @@ def _check_schema(file, path) -> None:
         raise ValueError(f"{path} is an HDF5 file, but no sweep of jaxshell's.")
     if file.attrs.get("schema") != SCHEMA:
         raise ValueError(
-            f"{path} has schema {file.attrs.get('schema')}, and this version of jaxshell reads schema {SCHEMA} of sweeps."
+            f"{path} has schema {file.attrs.get('schema')}, and this version of jaxshell reads sweeps of {SCHEMA}."
         )

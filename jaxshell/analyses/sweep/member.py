@@ -55,6 +55,7 @@ class Member(NamedTuple):
 def prepared(number: int, case: Case) -> Member:
     """A member of a case. Raises ValueError where scene, method and steps do not go together."""
     scene, method, dt, t_end, options = case
+    scene = unnamed(scene)  # also where it is checked: another name would compile the check again
     check_options(scene, method, 1, options.tangent, options.newton)
     controlled = isinstance(dt, StepControl)
     steps = np.asarray([dt.initial] if controlled else step_sizes(dt, t_end))
@@ -67,8 +68,8 @@ def prepared(number: int, case: Case) -> Member:
 
 
 def _apart(scene: Scene, method: Method):
-    """(floats, other leaves, tree) of scene and method; what the scene is called makes no other program."""
-    leaves, tree = jax.tree.flatten((unnamed(scene), method))
+    """(floats, other leaves, tree) of scene and method."""
+    leaves, tree = jax.tree.flatten((scene, method))
     floats = tuple(np.asarray(leaf) for leaf in leaves if is_float(leaf))
     fixed = (Frozen(leaf) if hasattr(leaf, "dtype") else leaf for leaf in leaves if not is_float(leaf))
     return floats, tuple(fixed), tree

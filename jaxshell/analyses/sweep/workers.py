@@ -6,6 +6,7 @@ again by others; a batch that several workers died of is given up as `Lost`.
 
 import contextlib
 import importlib
+import logging
 import os
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -56,6 +57,7 @@ def cluster(workers: int, scheduler: str | None):
                 n_workers=workers,
                 threads_per_worker=1,
                 dashboard_address=None,
+                silence_logs=logging.ERROR,  # that a worker died and was replaced is no news to the user
                 env={"NPROC": os.environ.get("NPROC", str(share))},
             )
             address = stack.enter_context(local)
