@@ -25,6 +25,6 @@ tip = { nearest = [1.0, 0.0, 0.0], component = "uz" }
 "tip velocity" = { nearest = [1.0, 0.0, 0.0], component = "vz" }
 [run]
 method = "CentralDifference"
-dt = 1e-4
-t_end = 2e-3
+dt = 2e-4
+t_end = 0.02
 """

@@ -110,7 +110,9 @@ def test_dotted_paths_count_from_one_and_leave_the_content_as_it_is():
     whole = with_values(CONTENT, {"mesh.divisions.1": 3.0, "section.density": 900.5})
     assert whole["mesh"]["divisions"] == [3, 1] and isinstance(whole["mesh"]["divisions"][0], int)
     assert whole["section"]["density"] == 900.5
-    doubled = with_values(CONTENT, {"loads.1.force": 2.0, "section.thickness": 1.5}, frozenset(["loads.1.force", "section.thickness"]))
+    doubled = with_values(
+        CONTENT, {"loads.1.force": 2.0, "section.thickness": 1.5}, frozenset(["loads.1.force", "section.thickness"])
+    )
     assert doubled["loads"][0]["force"] == [0.0, 0.0, 2.0] and doubled["section"]["thickness"] == 0.03
     assert with_values(CONTENT, {"run.method": "EMC"})["run"]["method"] == "EMC"
     assert "loads.1.force.3" in set(paths_of(CONTENT))

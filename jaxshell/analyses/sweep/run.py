@@ -148,6 +148,8 @@ def run_sweep(
         **fingerprints(plan, case_of, first, shown_times),
     }
     before = sweep_before(output, settings) if goes_on else None
+    if before is not None and before.done.all():
+        return before
     run = _Run(plan, case_of, settings, before, say)
     with contextlib.ExitStack() as stack:
         if output is not None:
