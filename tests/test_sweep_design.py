@@ -1,5 +1,7 @@
 """Which members a sweep has, what it refuses, and statistics and files of sweeps that were not run."""
 
+import contextlib
+
 import h5py
 import jax
 import numpy as np
@@ -17,7 +19,7 @@ from jaxshell.analyses.sweep.design import design  # noqa: E402
 from jaxshell.analyses.sweep.varied import varied  # noqa: E402
 from jaxshell.files.dotted import paths_of, with_values  # noqa: E402
 from jaxshell.results.sensitivities import sensitivities_of  # noqa: E402
-from jaxshell.results.sweep_file import sweep_of  # noqa: E402
+from jaxshell.results.sweep_file import SweepWriter, rows_of, sweep_of  # noqa: E402
 
 CONTENT = tomllib.loads(STRIP)
 
@@ -145,7 +147,7 @@ def ishigami(x):
 
 def test_sobol_indices_of_the_ishigami_function():
     """Ishigami & Homma 1990, a = 7, b = 0.1: S = 0.3139, 0.4424, 0; S_T = 0.5576, 0.4424, 0.2437."""
-    plan = made("saltelli:1024", **{name: f"uniform({-np.pi}, {np.pi})" for name in "abc"})
+    plan = made("saltelli:1024", **dict.fromkeys("abc", f"uniform({-np.pi}, {np.pi})"))
     assert plan.size == 5 * 1024
     y, usable = ishigami(list(plan.parameters.values())), np.ones(plan.size, bool)
     found = sensitivities_of("saltelli", plan.parameters, {"y": y}, usable)
@@ -185,7 +187,7 @@ def test_what_a_design_cannot_tell_is_refused():
     y, usable = {"y": np.arange(5.0)}, np.ones(5, bool)
     with pytest.raises(ValueError, match="a, b go together"):
         sensitivities_of("zip", together.parameters, y, usable)
-    with pytest.raises(ValueError, match="3 members.*4 are the least"):
+    with pytest.raises(ValueError, match=r"3 members.*4 are the least"):
         sensitivities_of("zip", together.parameters, y, np.arange(5) < 3)
     with pytest.raises(ValueError, match="has texts: vary it in a grid"):
         sensitivities_of("zip", made("zip", a="1,2,3,4,5", b="p,q,r,s,t").parameters, y, usable)
@@ -220,7 +222,7 @@ def test_statistics_are_of_the_members_that_ended():
     np.testing.assert_allclose(sweep.quantile([0.0, 0.5, 1.0])["apex"], np.outer([0, 1, 2], sweep.times))
     assert sweep.failures() == {"diverged": 1} and sweep.done.sum() == 4
     assert list(sweep.responses()) == ["apex min", "apex max", "apex end", "work"]
-    with pytest.raises(ValueError, match="no quantity 'tip'.*apex min"):
+    with pytest.raises(ValueError, match=r"no quantity 'tip'.*apex min"):
         sweep.sensitivities(["tip"])
     with pytest.raises(ValueError, match=r"quantile lies in \[0, 1\]"):
         sweep.quantile(95.0)
@@ -240,6 +242,18 @@ def test_a_saved_sweep_comes_back(tmp_path):
     with pytest.raises(ValueError, match="holds a sweep"):
         sweep.save(path)
     sweep.save(path, overwrite=True)
+
+
+def test_a_file_that_is_being_written_stays_and_can_be_read(tmp_path):
+    sweep, path = synthetic(), tmp_path / "a.h5"
+    with contextlib.closing(SweepWriter(path, sweep.scene, sweep.settings, sweep.parameters, sweep.times)) as writer:
+        rows = rows_of(sweep)
+        writer.append({name: values[:2] for name, values in rows.items()})
+        assert list(js.Sweep.load(path).done) == [True, True, False, False, False]
+        with pytest.raises(ValueError, match="in use"):
+            sweep.save(path, overwrite=True)
+        writer.append({name: values[2:] for name, values in rows.items()})
+    np.testing.assert_array_equal(js.Sweep.load(path).result, sweep.result)
 
 
 def test_other_files_are_no_sweeps(tmp_path):

@@ -81,6 +81,7 @@ def _sweep(options: argparse.Namespace) -> int:
             plan,
             cases,
             alike=not any(name.startswith(_STEPS) for name in axes) and not cases.controlled,
+            same_end="run.t_end" not in axes,
             asked={
                 "sample": options.sample,
                 "seed": options.seed,

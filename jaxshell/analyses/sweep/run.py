@@ -101,6 +101,7 @@ def sweep(
         plan,
         case_of,
         alike=alike,
+        same_end=t_end is not None and not callable(t_end),
         asked=asked,
         times=times,
         quantities={} if quantities is None else quantities,
@@ -119,6 +120,7 @@ def run_sweep(
     case_of: CaseOf,
     *,
     alike: bool,
+    same_end: bool,
     asked: dict[str, Any],
     times=None,
     quantities: Quantities,
@@ -130,13 +132,14 @@ def run_sweep(
     overwrite: bool = False,
     say: Callable[[str], None] | None = None,
 ) -> Sweep:
-    """As `sweep`, of members that `case_of` makes; `alike` says whether all have the same steps."""
+    """As `sweep`, of members that `case_of` makes; `alike` says whether all have the same steps, `same_end` whether they
+    run until the same time."""
     _check_numbers(batch, workers, save_every, alike)
     if scheduler is not None or workers > 1:
         pool.imported()
     goes_on = output is not None and check_replaceable(output, overwrite)
     first = _first(plan, case_of)
-    grid = _grid(times, first, plan, case_of, alike)
+    grid = _grid(times, first, plan, case_of, alike, alike or same_end)
     shown_times = _times_of(first) if grid is None else grid
     settings = {
         **asked,
@@ -306,14 +309,14 @@ def _times_of(member: Member) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(member.steps)])
 
 
-def _grid(times, first: Member, plan: Design, case_of: CaseOf, alike: bool) -> np.ndarray | None:
+def _grid(times, first: Member, plan: Design, case_of: CaseOf, alike: bool, same_end: bool) -> np.ndarray | None:
     """Times of the histories; None for those of the steps. Raises ValueError for times that are none."""
     if times is None and alike:
         return None
     if times is None or np.ndim(times) == 0:
         count = POINTS if times is None else times
         check_count("times", count, least=2)
-        return np.linspace(0.0, _longest(first, plan, case_of, alike), int(count))
+        return np.linspace(0.0, _longest(first, plan, case_of, same_end), int(count))
     check_finite("times", times)
     found = np.asarray(times, float)
     if found.ndim != 1 or not len(found) or found[0] < 0 or np.any(np.diff(found) <= 0):
@@ -321,14 +324,14 @@ def _grid(times, first: Member, plan: Design, case_of: CaseOf, alike: bool) -> n
     return found
 
 
-def _longest(first: Member, plan: Design, case_of: CaseOf, alike: bool) -> float:
+def _longest(first: Member, plan: Design, case_of: CaseOf, same_end: bool) -> float:
     """The end of the longest run."""
 
     def end(case: Case) -> float:
         return float(np.sum(case.dt)) if case.t_end is None else float(case.t_end)
 
     longest = end(first.case)
-    for number in () if alike else range(plan.size):
+    for number in () if same_end else range(plan.size):
         with contextlib.suppress(ValueError):
             longest = max(longest, end(case_of(plan.member(number))))
     return longest

@@ -90,7 +90,7 @@ def varied(name: str, given) -> Varied:
 
 
 def _read(name: str, text: str) -> Varied:
-    factor = bool(re.match(r"x\s*([-+.\d]|\w+\s*\()", text)) and text.split("(")[0].strip() not in _DISTRIBUTIONS
+    factor = re.match(r"x\s*([-+.\d]|\w+\s*\()", text) is not None
     body = text[1:].strip() if factor else text
     called = _CALL.fullmatch(body)
     if called:

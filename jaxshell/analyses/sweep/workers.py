@@ -96,7 +96,7 @@ def there(client, batches: Iterator[Batch], task: Task) -> Iterator[tuple[Batch,
             future = client.submit(_work, task.name, common, settings(), batch, pure=False)
             sent[future] = batch
             ended.add(future)
-            if len(sent) >= _AHEAD * max(1, len(client.scheduler_info(n_workers=-1)["workers"])):
+            if len(sent) >= _AHEAD * max(1, len(client.nthreads())):
                 return
 
     send()
