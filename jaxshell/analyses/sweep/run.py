@@ -132,8 +132,7 @@ def run_sweep(
     overwrite: bool = False,
     say: Callable[[str], None] | None = None,
 ) -> Sweep:
-    """As `sweep`, of members that `case_of` makes; `alike` says whether all have the same steps, `same_end` whether they
-    run until the same time."""
+    """As `sweep`, of members that `case_of` makes; with the same steps (`alike`), until the same time (`same_end`)."""
     _check_numbers(batch, workers, save_every, alike)
     if scheduler is not None or workers > 1:
         pool.imported()
