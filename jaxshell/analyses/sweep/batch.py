@@ -94,7 +94,7 @@ def _outputs(solution: Solution, quantities: Quantities) -> dict[str, Any]:
     }
 
 
-def _controlled(batch: Batch, row: int, quantities: Quantities, kept: Kept) -> dict[str, np.ndarray]:
+def _controlled(batch: Batch, row: int, quantities: Quantities, kept: Kept) -> dict[str, Any]:
     """One member under step control, whose number of steps no compiled program of many can know."""
     case, values = batch.case, iter([leaf[row] for leaf in batch.leaves])
     parts, tree = jax.tree.flatten((unnamed(case.scene), case.method))
