@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from jaxshell.analyses.simulation import simulate
     from jaxshell.analyses.statics import reactions, solve_static
     from jaxshell.analyses.step_control import StepControl
+    from jaxshell.analyses.sweep.run import sweep
     from jaxshell.gradients import Checkpointed, Stored
     from jaxshell.methods import (
         HHT,
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     from jaxshell.results.smoothing import nodal, smooth_patches
     from jaxshell.results.solution import RESULTS, Energy, Momentum, Solution
     from jaxshell.results.stresses import stresses, stresses_of
+    from jaxshell.results.sweep import Sweep
     from jaxshell.solvers.linear_solver import KLU, Dense, Pardiso
     from jaxshell.solvers.newton import Newton
 
@@ -111,6 +113,7 @@ __all__ = [
     "Stored",
     "Strengths",
     "Support",
+    "Sweep",
     "Thermal",
     "VTKHDFWriter",
     "clamped",
@@ -141,6 +144,7 @@ __all__ = [
     "stresses",
     "stresses_of",
     "structured_triangles",
+    "sweep",
     "symmetry",
     "von_mises",
 ]
@@ -198,9 +202,11 @@ _HOMES = {
     "model.sections": ["Cylindrical", "GeneralSection", "Laminate", "Ply", "Section"],
     "analyses.settle": ["settle"],
     "analyses.simulation": ["simulate"],
+    "results.sweep": ["Sweep"],
     "results.solution": ["RESULTS", "Energy", "Momentum", "Solution"],
     "analyses.statics": ["reactions", "solve_static"],
     "analyses.step_control": ["StepControl"],
+    "analyses.sweep.run": ["sweep"],
     "model.supports": ["Support", "clamped", "pinned", "symmetry"],
 }
 """The public names by their modules. A package's own name stands for the package."""

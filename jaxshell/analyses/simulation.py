@@ -99,7 +99,7 @@ def simulate(
     require_float64()
     newton = Newton() if newton is None else newton
     check_options(scene, method, save_every, tangent, newton)
-    steps = _controlled(scene, method, dt, t_end) if isinstance(dt, StepControl) else _step_sizes(dt, t_end)
+    steps = _controlled(scene, method, dt, t_end) if isinstance(dt, StepControl) else step_sizes(dt, t_end)
     method.check(scene, np.asarray([dt.initial]) if isinstance(dt, StepControl) else steps)
     traced = is_traced(scene, method, newton, steps)
     setup = set_up(
@@ -173,7 +173,7 @@ def _driven_run(setup: Setup, dt, t_end, output, bar, restart, asked: dict) -> S
             first_chunk = first_chunk or time.perf_counter() - begun
             bar.advance(chunk.record)
         code = int(chunk.carry.result)
-        message = _message(code, log.steps + 1, log.latest_time, chunk.dt)
+        message = failure_message(code, log.steps + 1, log.latest_time, chunk.dt)
         return log.finish(chunk.carry, code, message, **chunk.counts, first_chunk_time=first_chunk)
 
 
@@ -246,7 +246,8 @@ def _select(tree, which):
     return jax.tree.map(lambda a: a[which], tree)
 
 
-def _message(code: int, step: int, at, dt) -> str:
+def failure_message(code: int, step: int, at, dt) -> str:
+    """What a run says that ended with a result code in the step with this number, from the time `at`."""
     if code == SUCCESSFUL:
         return ""
     return f"Step {step}, from t = {at:.6g} with dt = {float(dt):.3g}: {RESULTS[result_of(code)]}"
@@ -273,7 +274,8 @@ def _controlled(scene: Scene, method: Method, control: StepControl, t_end) -> Co
     return Controlled(floats_to_arrays(control), outputs, stops[np.append(np.diff(stops) > 1e-9 * t_end, True)])
 
 
-def _step_sizes(dt, t_end):
+def step_sizes(dt, t_end):
+    """(N,) the steps of a run. Raises ValueError for a dt and a t_end that make none."""
     check_positive("dt", dt)
     if isinstance(dt, list | tuple):
         dt = jnp.asarray(dt, float) if is_traced(dt) else np.asarray(dt, float)

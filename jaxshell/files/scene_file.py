@@ -61,24 +61,33 @@ def read_scene_file(path) -> tuple[Scene, RunSettings]:
     A mesh file's path is relative to the scene file. Raises FileNotFoundError; ValueError naming the file and
     the table for whatever is wrong in it, unknown keys included.
     """
+    return scene_of(read_content(path), path)
+
+
+def read_content(path) -> dict:
+    """What a scene file says, as tables and lists. Raises FileNotFoundError, or ValueError where it is no TOML."""
     path = Path(path)
     if not is_file(path):
         raise FileNotFoundError(f"There is no file {path}.")
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
         raise ValueError(f"{path} is not a valid TOML file: {reason}") from error
+
+
+def scene_of(content: dict, path, mesh: Mesh | None = None) -> tuple[Scene, RunSettings]:
+    """As `read_scene_file`, of the content of the file at `path`; its mesh is not made again where it is given."""
     try:
-        return _scene(content, path)
+        return _scene(content, Path(path), mesh)
     except (ValueError, TypeError) as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _scene(content: dict, path: Path) -> tuple[Scene, RunSettings]:
+def _scene(content: dict, path: Path, mesh: Mesh | None) -> tuple[Scene, RunSettings]:
     top = Table.top(content)
     top.only(*_KNOWN)
-    mesh = _mesh(top.table("mesh"), path.parent)
+    mesh = _mesh(top.table("mesh"), path.parent) if mesh is None else mesh
     run = top.table("run", optional=True)
     settings = RunSettings.from_table(run.content)
     scene = Scene(

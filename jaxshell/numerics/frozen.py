@@ -31,6 +31,10 @@ class Frozen:
     def __eq__(self, other) -> bool:
         return self is other or (isinstance(other, Frozen) and self._hash == other._hash and self._key == other._key)
 
+    def __reduce__(self):
+        """The array alone: a hash is of its process, and would be another's in the next."""
+        return Frozen, (self.array,)
+
     def __array__(self, dtype=None, copy=None) -> np.ndarray:
         """What `np.asarray` gives; a copy where the type asked for is another."""
         return np.array(self.array, dtype=dtype, copy=copy)

@@ -25,7 +25,7 @@ def watched_figure(runs: Runs, kind: str) -> Figure | None:
     figure, panels, seconds = _panels(runs, len(watched), 1, height=2.6 if len(watched) == 1 else 2.0)
     for (label, component), panel in zip(watched, panels[:, 0], strict=True):
         held = [(name, run) for name, run in runs.items() if label in run.watched]
-        divisor, text = _axis(scene, label, component, [run.watched[label] for _, run in held])
+        divisor, text = watched_axis(scene, label, component, [run.watched[label] for _, run in held])
         for position, (name, run) in enumerate(held):
             panel.plot(run.times / seconds, run.watched[label] / divisor, label=name, **line(position))
         panel.set_ylabel(text)
@@ -127,7 +127,7 @@ def _time(runs: Runs) -> tuple[float, str]:
     return divisor, f"Time{unit}"
 
 
-def _axis(scene: Scene, label: str, component: str, values) -> tuple[float, str]:
+def watched_axis(scene: Scene, label: str, component: str, values) -> tuple[float, str]:
     """Divisor and axis label of a watched quantity: the scene's own where it names one."""
     for own, divisor, text in () if scene.defaults is None else scene.defaults.axes:
         if own == label:

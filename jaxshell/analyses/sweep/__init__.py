@@ -1,0 +1,1 @@
+"""Sweeps: many runs of scenes that differ in a few values, as batches of one compiled program, over many processes."""
