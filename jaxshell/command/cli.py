@@ -10,10 +10,10 @@ import os
 import sys
 from collections.abc import Sequence
 
-from jaxshell.command import advise, chart, export, plot, run, scenes
+from jaxshell.command import advise, animate, chart, export, plot, run, scenes, view
 from jaxshell.numerics.signals import LostOutput, exit_status, raising
 
-COMMANDS = (run, plot, export, chart, advise, scenes)
+COMMANDS = (run, plot, animate, view, export, chart, advise, scenes)
 """In the order of `jaxshell --help`. Each has `add(commands)`, which adds its parser and names its function."""
 
 

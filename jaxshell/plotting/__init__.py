@@ -1,4 +1,5 @@
-"""Pictures of runs: deformed shapes, watched displacements and velocities, energies, momenta."""
+"""Pictures of runs: deformed shapes, watched displacements and velocities, energies, momenta; films, a window, and
+pictures of scenes before they run."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,6 +9,7 @@ from matplotlib.figure import Figure
 
 from jaxshell.plotting import rendering
 from jaxshell.plotting.histories import energy_figure, momentum_figure, watched_figure
+from jaxshell.plotting.movie import animate
 from jaxshell.plotting.scene import scene_figure
 from jaxshell.plotting.shapes import shapes_figure
 from jaxshell.plotting.style import STYLE

@@ -32,6 +32,8 @@ class Colouring(NamedTuple):
     """(m, 3) at the triangles' corners of each frame, in the unit of the label."""
     colours: ScalarMappable
     label: str
+    divisor: float
+    """What the solution's values are divided by."""
 
 
 def colouring(runs: Sequence[Solution], frames: Sequence[Sequence[int]], field: str = "displacement") -> Colouring:
@@ -44,8 +46,9 @@ def colouring(runs: Sequence[Solution], frames: Sequence[Sequence[int]], field: 
     if field not in MOTIONS:
         for run in runs:
             checked_gauge(run.scene, field)
-    read = _motion if field in MOTIONS else _gauge
-    values = [value for run, chosen in zip(runs, frames, strict=True) for value in read(run, list(chosen), field)]
+    values = [
+        value for run, chosen in zip(runs, frames, strict=True) for value in field_values(run, list(chosen), field)
+    ]
     low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
     largest = max(abs(low), abs(high))
     scene = runs[0].scene
@@ -65,7 +68,12 @@ def colouring(runs: Sequence[Solution], frames: Sequence[Sequence[int]], field: 
     if limits[0] == limits[1]:
         limits = (limits[0], limits[0] + 1.0) if gauge is None else (limits[0] - 0.5, limits[0] + 0.5)
     colours = ScalarMappable(Normalize(*limits), colour_map)
-    return Colouring([value / divisor for value in values], colours, f"{label}{unit}")
+    return Colouring([value / divisor for value in values], colours, f"{label}{unit}", divisor)
+
+
+def field_values(run: Solution, frames: list[int], field: str) -> list[np.ndarray]:
+    """(m, 3) at the triangles' corners of each of the frames, in the solution's units."""
+    return _motion(run, frames, field) if field in MOTIONS else _gauge(run, frames, field)
 
 
 def _motion(run: Solution, frames: list[int], field: str) -> list[np.ndarray]:

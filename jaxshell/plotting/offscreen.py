@@ -17,9 +17,9 @@ import numpy as np
 _PATIENCE = 60.0
 """Seconds that a picture may take; the first one also loads VTK."""
 _IDLE = 60.0
-LIGHT = np.array([-0.3, 0.45, 0.84]) / np.linalg.norm([-0.3, 0.45, 0.84])
-"""Where the light is, seen by the viewer: above on the left, behind them."""
-AMBIENT = 0.68
+LIGHT = np.array([-0.64, 0.48, 0.6])
+"""Where the light is, seen by the viewer: on the left, above and behind them; so low that shallow shells have shades."""
+AMBIENT = 0.62
 
 
 class RenderingFailed(RuntimeError):

@@ -12,7 +12,7 @@ _ELEVATION, _LOW, _HIGH = 22.0, 11.0, 35.0
 _FLAT, _PLANE = 0.15, 0.02
 """A shell that never rises above _FLAT of its width is seen from lower, or its height would not show; one that never
 rises above _PLANE of it from higher, as a plan."""
-_GOOD = 0.85
+_GOOD = 0.75
 """The usual direction is kept where it shows at least so much of what the best one does."""
 
 
@@ -67,8 +67,9 @@ def window_of(projected: Sequence[np.ndarray], margin: float = 0.04) -> Window:
 
 
 def _shown(view: View, shapes: Sequence[np.ndarray], triangles: np.ndarray) -> float:
-    """How well a view shows the shapes: how much of their areas faces it, times how much of their length it keeps."""
-    return float(np.mean([_facing(view, shape, triangles) * _length(view, shape) for shape in shapes]))
+    """How well a view shows the shapes: the length of them that it keeps, and, with less weight, how much of their area
+    faces it. Zero for what is seen along itself."""
+    return float(np.mean([np.sqrt(_facing(view, shape, triangles)) * _length(view, shape) for shape in shapes]))
 
 
 def _facing(view: View, shape: np.ndarray, triangles: np.ndarray) -> float:

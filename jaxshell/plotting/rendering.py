@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
@@ -21,7 +22,7 @@ from jaxshell.plotting.projection import View, Window
 from jaxshell.plotting.style import WIDTH
 
 RENDERERS = ("auto", "vtk", "matplotlib")
-_DOTS = 300
+_DOTS = 240
 """Pixels to an inch of what VTK renders; pictures have 200 of them, so that edges come out smooth."""
 _FINE = 5.0
 """Mesh lines closer than so many pixels are left out: they would be all that one sees."""
@@ -42,21 +43,21 @@ class Renderer(abc.ABC):
     """Draws sheets into a panel."""
 
     @abc.abstractmethod
-    def draw(self, panel: Axes, sheets: Sequence[Sheet], view: View, window: Window, colours: ScalarMappable) -> None:
-        """Add the sheets to the panel, which shows the window of the view already."""
+    def draw(self, panel: Axes, sheets: Sequence[Sheet], view: View, window: Window, colours: ScalarMappable) -> Artist:
+        """Add the sheets to the panel, which shows the window of the view already; returns what was added."""
 
 
 class Polygons(Renderer):
     """matplotlib's polygons."""
 
-    def draw(self, panel, sheets, view, window, colours) -> None:
+    def draw(self, panel, sheets, view, window, colours) -> Artist:
         corners = np.concatenate([view.project(sheet.points)[sheet.triangles] for sheet in sheets])
         faces = colours.to_rgba(np.concatenate([sheet.values.mean(axis=1) for sheet in sheets]))
         faces[:, :3] *= offscreen.shade(corners)[:, None]
         order = np.argsort(corners[:, :, 2].mean(axis=1))
         edges = faces * np.array([0.7, 0.7, 0.7, 1.0]) if _lines(corners, window, _inches(panel)) else faces
         outlines = list(corners[order, :, :2])
-        panel.add_collection(
+        return panel.add_collection(
             PolyCollection(outlines, facecolors=faces[order], edgecolors=edges[order], linewidths=0.25)
         )
 
@@ -64,24 +65,23 @@ class Polygons(Renderer):
 class Rendered(Renderer):
     """VTK's picture, in another process; `fallback` draws where that fails, or it raises offscreen.RenderingFailed."""
 
-    def __init__(self, fallback: Renderer | None):
-        self.fallback = fallback
+    def __init__(self, fallback: Renderer | None, dots: float = _DOTS):
+        self.fallback, self.dots = fallback, dots
 
-    def draw(self, panel, sheets, view, window, colours) -> None:
+    def draw(self, panel, sheets, view, window, colours) -> Artist:
         try:
             image = offscreen.image(self._job(panel, sheets, view, window, colours))
         except offscreen.RenderingFailed:
             if self.fallback is None:
                 raise
-            self.fallback.draw(panel, sheets, view, window, colours)
-            return
+            return self.fallback.draw(panel, sheets, view, window, colours)
         extent = (window.low[0], window.high[0], window.low[1], window.high[1])
-        panel.imshow(image, extent=extent, origin="upper", aspect="equal", zorder=1)
+        return panel.imshow(image, extent=extent, origin="upper", aspect="equal", zorder=1)
 
     def _job(self, panel, sheets, view, window, colours) -> dict[str, Any]:
         corners = np.concatenate([view.project(sheet.points)[sheet.triangles] for sheet in sheets])
         inches = _inches(panel)
-        pixels = np.clip(np.round(_DOTS * inches * window.size / window.size.max()), 8, 4096).astype(int)
+        pixels = np.clip(np.round(self.dots * inches * window.size / window.size.max()), 8, 4096).astype(int)
         colour_map = np.asarray(colours.get_cmap()(np.arange(colours.get_cmap().N)))
         return {
             "corners": corners,
@@ -94,8 +94,9 @@ class Rendered(Renderer):
         }
 
 
-def renderer(name: str = "auto") -> Renderer:
-    """ "vtk", "matplotlib", or "auto": VTK where PyVista is installed and renders, else matplotlib.
+def renderer(name: str = "auto", dots: float = _DOTS) -> Renderer:
+    """ "vtk", "matplotlib", or "auto": VTK where PyVista is installed and renders, else matplotlib. `dots` are VTK's
+    pixels to an inch.
 
     Raises ValueError for another name; ImportError for "vtk" without PyVista.
     """
@@ -107,7 +108,7 @@ def renderer(name: str = "auto") -> Renderer:
         if name == "vtk":
             raise ImportError('renderer="vtk" needs PyVista: pip install pyvista')
         return polygons
-    return Rendered(polygons if name == "auto" else None)
+    return Rendered(polygons if name == "auto" else None, dots)
 
 
 def _inches(panel: Axes) -> float:

@@ -112,7 +112,9 @@ def _mirrors(scene: Scene) -> str:
     if not planes:
         return ""
     divisor, unit = length_unit(scene)
-    places = [f"{'xyz'[axis]} = {round(value / divisor, 9):g}{' ' + unit if value and unit else ''}" for axis, value in planes]
+    places = [
+        f"{'xyz'[axis]} = {round(value / divisor, 9):g}{' ' + unit if value and unit else ''}" for axis, value in planes
+    ]
     return f"\nthe modelled part mirrored at {' and '.join(places)}"
 
 
