@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from jaxshell.command.files import add_field, add_files, add_renderer, read_runs
+from jaxshell.command.result_files import add_field, add_files, add_renderer, read_runs
 from jaxshell.command.start import prepare_jax
 
 

@@ -2,7 +2,7 @@
 
 import argparse
 
-from jaxshell.command.files import add_field, add_files, read_runs
+from jaxshell.command.result_files import add_field, add_files, read_runs
 from jaxshell.command.start import prepare_jax
 
 

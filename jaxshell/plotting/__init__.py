@@ -14,9 +14,10 @@ from jaxshell.plotting.scene import scene_figure
 from jaxshell.plotting.shapes import shapes_figure
 from jaxshell.plotting.style import STYLE
 from jaxshell.plotting.titles import named_runs
+from jaxshell.plotting.window import view
 from jaxshell.results.solution import Solution
 
-__all__ = ["figures", "plot", "scene_figure"]
+__all__ = ["animate", "figures", "plot", "scene_figure", "view"]
 
 
 def figures(

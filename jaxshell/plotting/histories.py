@@ -92,7 +92,7 @@ def energy_figure(runs: Runs) -> Figure:
         text = f"{name if len(runs) > 1 else ''}: largest {np.max(np.abs(error)):.1e}".lstrip(": ")
         below.plot(run.times / seconds, _magnitude(error), label=text, **line(position))
     dissipates = any(np.any(run.energy.dissipated) for run in runs.values())
-    below.set_ylabel(f"|Δ(K + S{' + D' if dissipates else ''} - W)|\nover largest K + S")
+    below.set_ylabel(f"|Δ(K + S{' + D' if dissipates else ''} - W)|\n/ largest K + S", fontsize=8.5)
     _logarithmic(below)
     below.set_xlabel(time_text)
     below.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(runs))

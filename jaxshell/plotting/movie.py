@@ -1,6 +1,9 @@
 """Moving pictures of runs, as GIF or MP4: deformed shapes on one scale and in one window, several runs side by side."""
 
+import contextlib
+import itertools
 import math
+import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +26,8 @@ from jaxshell.results.solution import Solution
 _SECONDS, _FPS, _SLOWEST = 8.0, 25.0, 5.0
 """How long a film is, and its pictures to a second, where neither is said: fewer pictures, down to _SLOWEST a second,
 where so many are not stored."""
-_PIXELS = 1280
+_PIXELS, _LEAST_DOTS = 1280, 90.0
+"""Width of a film, and pixels to an inch of the smallest ones, in which text can still be read."""
 _MOST_VIEWED = 12
 """The view is chosen by so many of the shapes."""
 KINDS = (".gif", ".mp4")
@@ -45,9 +49,9 @@ def animate(
     path,
     field: str = "displacement",
     *,
-    fps: float | None = None,
-    duration: float | None = None,
-    size: tuple[int, int] | None = None,
+    fps: float | int | None = None,
+    duration: float | int | None = None,
+    size: Sequence[int] | None = None,
     renderer: str = "auto",
 ) -> Path:
     """Write a film of the deformed shapes of one run, or of several side by side, to a .gif or .mp4 file.
@@ -55,9 +59,9 @@ def animate(
     Arguments:
         field: what colours the shapes: "displacement", "velocity", or a gauge's text such as "von mises top".
         fps: pictures to a second.
-        duration: of the film [s]. Pictures are spread evenly over the runs' time, each the stored frame that is nearest.
-            Where neither is given, 8 s at 25 pictures a second, or fewer and slower ones where the runs have fewer
-            frames.
+        duration: of the film [s]. Pictures are spread evenly over the runs' time, each the stored frame that is
+            nearest. Where neither is given, 8 s at 25 pictures a second, or fewer and slower ones where the runs have
+            fewer frames.
         size: (width, height) in pixels, made even; the default has 1280 across and a height that suits the shapes.
         renderer: as of `figures`.
 
@@ -78,7 +82,7 @@ def animate(
     return path
 
 
-def _pace(runs: Mapping[str, Solution], fps: float | None, duration: float | None) -> tuple[float, int]:
+def _pace(runs: Mapping[str, Solution], fps: float | int | None, duration: float | int | None) -> tuple[float, int]:
     """Pictures to a second, and how many."""
     for name, value in (("fps", fps), ("duration", duration)):
         if value is not None:
@@ -88,9 +92,9 @@ def _pace(runs: Mapping[str, Solution], fps: float | None, duration: float | Non
         raise ValueError("A film needs two frames: the run has stopped in its first step, or kept none.")
     if duration is not None:
         fps = _FPS if fps is None else fps
-        return fps, max(2, round(duration * fps))
+        return float(fps), max(2, round(duration * fps))
     count = min(stored, max(2, round(_SECONDS * (_FPS if fps is None else fps))))
-    return (fps, count) if fps is not None else (float(np.clip(count / _SECONDS, _SLOWEST, _FPS)), count)
+    return (float(fps), count) if fps is not None else (float(np.clip(count / _SECONDS, _SLOWEST, _FPS)), count)
 
 
 def _film(runs: dict[str, Solution], field: str, count: int) -> _Film:
@@ -118,9 +122,9 @@ def _pictures(film: _Film, size: tuple[int, int] | None, renderer: str) -> Itera
     coloured = colouring(runs, film.numbers, film.field)
     view, window = _stage(film)
     width, height = size or _usual_size(window, len(runs))
-    dots = width / WIDTH
+    dots = max(width / WIDTH, _LEAST_DOTS)
     painter = rendering.renderer(renderer, 1.2 * dots)
-    figure = Figure(figsize=(WIDTH, height / dots), dpi=dots, layout="constrained")
+    figure = Figure(figsize=(width / dots, height / dots), dpi=dots, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(runs), squeeze=False)[0]
     clock = _furnish(figure, panels, film, coloured, view, window)
@@ -166,7 +170,7 @@ def _usual_size(window: Window, runs: int) -> tuple[int, int]:
     return _PIXELS, 2 * round(_PIXELS / WIDTH * inches / 2)
 
 
-def _furnish(figure: Figure, panels: Sequence, film: _Film, coloured: Colouring, view: View, window: Window):
+def _furnish(figure: Figure, panels: np.ndarray, film: _Film, coloured: Colouring, view: View, window: Window):
     """Draw all that stays; returns what sets the time to that of a picture."""
     names, first = list(film.runs), next(iter(film.runs.values()))
     for name, panel in zip(names, panels, strict=True):
@@ -175,7 +179,7 @@ def _furnish(figure: Figure, panels: Sequence, film: _Film, coloured: Colouring,
             panel.set_title(name)
     scale_bar(panels[0], window, *length_unit(first.scene))
     triad(panels[0], view)
-    bar = figure.colorbar(coloured.colours, ax=list(panels), fraction=0.03, aspect=30, pad=0.02)
+    bar = figure.colorbar(coloured.colours, ax=panels.tolist(), fraction=0.03, aspect=30, pad=0.02)
     bar.set_label(coloured.label)
     bar.outline.set_visible(False)
     head = title(first.scene, names[0] if len(names) == 1 else "", "deformed shapes, true to scale")
@@ -204,17 +208,23 @@ def _writer_of_mp4():
         import imageio_ffmpeg
     except ImportError:
         raise ImportError("MP4 films need imageio-ffmpeg: pip install imageio-ffmpeg. A .gif needs nothing.") from None
+    # Not its write_frames, which forks: JAX warns that its threads may hang then.
+    program = imageio_ffmpeg.get_ffmpeg_exe()
 
     def write(path: Path, pictures: Iterator[np.ndarray], fps: float) -> None:
         first = next(pictures)
-        size = (first.shape[1], first.shape[0])
-        film = imageio_ffmpeg.write_frames(str(path), size, fps=fps, quality=8, macro_block_size=2)
-        film.send(None)
-        try:
-            film.send(np.ascontiguousarray(first))
-            for picture in pictures:
-                film.send(np.ascontiguousarray(picture))
-        finally:
-            film.close()
+        size = f"{first.shape[1]}x{first.shape[0]}"
+        read = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", f"{fps:g}", "-i", "-"]
+        encode = ["-an", "-vcodec", "libx264", "-crf", "18", "-pix_fmt", "yuv420p"]
+        command = [program, "-y", "-v", "error", *read, *encode, str(path.absolute())]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as film:
+            assert film.stdin is not None and film.stderr is not None
+            with contextlib.suppress(BrokenPipeError):  # ffmpeg has said why
+                for picture in itertools.chain([first], pictures):
+                    film.stdin.write(np.ascontiguousarray(picture))
+                film.stdin.close()
+            said = film.stderr.read().decode(errors="replace").strip()
+        if film.returncode:
+            raise OSError(f"Cannot write {path}: {said or 'ffmpeg failed'}")
 
     return write

@@ -5,6 +5,7 @@ pickle, until its input ends or nothing is asked for a minute. It imports nothin
 """
 
 import atexit
+import contextlib
 import os
 import pickle
 import subprocess
@@ -18,7 +19,7 @@ _PATIENCE = 60.0
 """Seconds that a picture may take; the first one also loads VTK."""
 _IDLE = 60.0
 LIGHT = np.array([-0.64, 0.48, 0.6])
-"""Where the light is, seen by the viewer: on the left, above and behind them; so low that shallow shells have shades."""
+"""Where the light is, seen by the viewer: left, above and behind them; so low that shallow shells have shades."""
 AMBIENT = 0.62
 
 
@@ -84,7 +85,8 @@ def _stop() -> None:
         _process.kill()
         _process.wait()
         for pipe in (_process.stdin, _process.stdout):
-            if pipe is not None:
+            with contextlib.suppress(OSError):  # a job that nobody takes any more
+                assert pipe is not None
                 pipe.close()
         _process = None
 
@@ -120,9 +122,10 @@ def _rendered(job: dict[str, Any]) -> np.ndarray:
     points = ((job["corners"] - middle) / size).reshape(-1, 3)  # of size 1: VTK computes in single precision
     mesh = pyvista.PolyData(points, faces=_faces(len(points)))
     mesh.point_data["values"] = job["values"].ravel()
-    plotter = pyvista.Plotter(off_screen=True, window_size=list(job["pixels"]), lighting="none")
+    theme = pyvista.themes.DocumentTheme()
+    theme.background = "white"
+    plotter = pyvista.Plotter(off_screen=True, window_size=list(job["pixels"]), lighting="none", theme=theme)
     try:
-        plotter.set_background("white")
         actor = plotter.add_mesh(
             mesh,
             scalars="values",

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.transforms import Bbox, ScaledTranslation
+from matplotlib.transforms import Bbox, BboxBase, ScaledTranslation
 
 from jaxshell.plotting.projection import View, Window
 
@@ -58,21 +58,18 @@ def place_labels(panel: Axes, projected: Sequence[np.ndarray], labels: Sequence[
     `projected` are the shapes (n, 2 or 3) in the panel's coordinates, which are final. A thin line leads from a label
     to its shape. Returns the labels' boxes in pixels.
     """
-    figure = panel.figure
-    figure.draw_without_rendering()
+    figure = panel.get_figure(root=True)
+    if figure is not None:
+        figure.draw_without_rendering()
     shapes = [panel.transData.transform(p[:, :2]) for p in projected]
-    inside = panel.get_window_extent()
+    points, inside = np.concatenate(shapes), panel.get_window_extent()
     placed: list[Bbox] = []
-    for number, (shape, label) in enumerate(zip(shapes, labels, strict=True)):
+    for shape, label in zip(shapes, labels, strict=True):
         text = panel.text(0, 0, label, fontsize=8.5, ha="center", va="center", zorder=6)
         text.set_in_layout(False)
-        size = text.get_window_extent().padded(2.0).size
-        others = np.concatenate(shapes)
-        best = min(
-            _candidates(shape, size, inside), key=lambda option: _cost(option, size, placed, others, inside, number)
-        )
-        at, anchor = best
-        box = Bbox.from_bounds(*(at - size / 2), *size)
+        size = np.array(text.get_window_extent().padded(2.0).size)
+        at, anchor = min(_candidates(shape, size), key=lambda option: _cost(*option, size, placed, points, inside))
+        box = _box(at, size)
         placed.append(box)
         back = panel.transData.inverted().transform
         text.set_position(tuple(back(at)))
@@ -83,7 +80,11 @@ def place_labels(panel: Axes, projected: Sequence[np.ndarray], labels: Sequence[
     return placed
 
 
-def _candidates(shape: np.ndarray, size: np.ndarray, inside: Bbox):
+def _box(middle: np.ndarray, size: np.ndarray) -> Bbox:
+    return Bbox(np.stack([middle - size / 2, middle + size / 2]))
+
+
+def _candidates(shape: np.ndarray, size: np.ndarray):
     """(centre of a label, point of the shape that it belongs to), the nearest first: above, below and beside."""
     ends = {
         (0, 1): shape[np.argmax(shape[:, 1])],
@@ -100,10 +101,9 @@ def _candidates(shape: np.ndarray, size: np.ndarray, inside: Bbox):
                 yield at, anchor
 
 
-def _cost(option, size, placed, points, inside: Bbox, number: int) -> float:
+def _cost(at, anchor, size, placed: Sequence[Bbox], points: np.ndarray, inside: BboxBase) -> float:
     """Of a label's place: on another label or outside never, on shapes seldom, else the nearer the better."""
-    at, anchor = option
-    box = Bbox.from_bounds(*(at - size / 2), *size)
+    box = _box(at, size)
     cost = np.hypot(*(at - anchor)) / size[1]
     if any(box.overlaps(other) for other in placed):
         cost += 1e6

@@ -8,7 +8,7 @@ import numpy as np
 
 _AZIMUTH = -60.0
 """Usual direction of the viewer about z, from x [degrees]."""
-_ELEVATION, _LOW, _HIGH = 22.0, 11.0, 35.0
+_ELEVATION, _LOW, _HIGH = 22.0, 15.0, 35.0
 _FLAT, _PLANE = 0.15, 0.02
 """A shell that never rises above _FLAT of its width is seen from lower, or its height would not show; one that never
 rises above _PLANE of it from higher, as a plan."""

@@ -22,7 +22,7 @@ from jaxshell.plotting.projection import View, Window
 from jaxshell.plotting.style import WIDTH
 
 RENDERERS = ("auto", "vtk", "matplotlib")
-_DOTS = 240
+_DOTS = 240.0
 """Pixels to an inch of what VTK renders; pictures have 200 of them, so that edges come out smooth."""
 _FINE = 5.0
 """Mesh lines closer than so many pixels are left out: they would be all that one sees."""
@@ -65,8 +65,8 @@ class Polygons(Renderer):
 class Rendered(Renderer):
     """VTK's picture, in another process; `fallback` draws where that fails, or it raises offscreen.RenderingFailed."""
 
-    def __init__(self, fallback: Renderer | None, dots: float = _DOTS):
-        self.fallback, self.dots = fallback, dots
+    def __init__(self, fallback: Renderer | None, dots: float | None = None):
+        self.fallback, self.dots = fallback, _DOTS if dots is None else dots
 
     def draw(self, panel, sheets, view, window, colours) -> Artist:
         try:
@@ -94,9 +94,9 @@ class Rendered(Renderer):
         }
 
 
-def renderer(name: str = "auto", dots: float = _DOTS) -> Renderer:
+def renderer(name: str = "auto", dots: float | None = None) -> Renderer:
     """ "vtk", "matplotlib", or "auto": VTK where PyVista is installed and renders, else matplotlib. `dots` are VTK's
-    pixels to an inch.
+    pixels to an inch; None suits still pictures.
 
     Raises ValueError for another name; ImportError for "vtk" without PyVista.
     """
@@ -113,7 +113,7 @@ def renderer(name: str = "auto", dots: float = _DOTS) -> Renderer:
 
 def _inches(panel: Axes) -> float:
     """About how long the longer side of the panel's picture is."""
-    figure = panel.get_figure()
+    figure = panel.get_figure(root=True)
     spec = panel.get_subplotspec()
     rows, columns = (1, 1) if spec is None else spec.get_gridspec().get_geometry()
     width, height = (WIDTH, WIDTH) if figure is None else figure.get_size_inches()

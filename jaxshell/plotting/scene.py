@@ -133,9 +133,16 @@ def _draw_supports(panel: Axes, scene: Scene, view: View) -> list[Line2D]:
         (line,) = panel.plot(
             at[:, 0], at[:, 1], **style, markerfacecolor="white" if kind != "clamped" else colour, zorder=3
         )
-        line.set_label(f"{kind}: {_count(len(nodes), 'node')}")
+        line.set_label(f"{kind}: {_named(scene, nodes)}{_count(len(nodes), 'node')}")
         drawn.append(line)
     return drawn
+
+
+def _named(scene: Scene, nodes: np.ndarray) -> str:
+    """The name of the set of nodes that these are, and a comma; empty where they are none."""
+    found = (name for name, array in scene.mesh.node_sets.items() if np.array_equal(array, nodes))
+    name = next(found, "")
+    return f"{plain(name)}, " if name else ""
 
 
 def held_as(support: Support) -> str:

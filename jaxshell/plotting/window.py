@@ -69,8 +69,9 @@ def staged(runs: Mapping[str, Solution], field: str, plotter) -> Stage:
     meshes = []
     for place, (name, run) in enumerate(runs.items()):
         plotter.subplot(0, place)
-        mesh = pyvista.PolyData.from_regular_faces(*_surface(_sheet(run, 0, field, coloured)))
-        mesh.point_data["values"] = _sheet(run, 0, field, coloured).values.ravel()
+        sheet = _sheet(run, 0, field, coloured)
+        mesh = pyvista.PolyData.from_regular_faces(*_surface(sheet))
+        mesh.point_data["values"] = sheet.values.ravel()
         meshes.append(mesh)
         _add(plotter, mesh, coloured, place)
         plotter.add_text(title(run.scene, name, "").rstrip(": ").replace(r"\$", "$"), font_size=9, name="title")
