@@ -227,7 +227,7 @@ def test_an_axis_that_points_at_the_viewer_is_a_letter_without_an_arrow():
 
 def test_a_scene_is_drawn_with_its_supports_loads_sets_and_watches():
     mesh = rectangle(2.0, 1.0, [4, 2])
-    mesh = type(mesh)(mesh.nodes, mesh.triangles, element_sets={"skin": [0, 1, 2]})
+    mesh = type(mesh)(mesh.nodes, mesh.triangles, node_sets={"root": [0, 1, 2]}, element_sets={"skin": [0, 1, 2]})
     supports = [clamped([0, 1, 2]), Support([14], ("uz",)), Support([13], ("ux",), 0.1, History.ramp(1.0))]
     loads = [
         NodalForce([12], [0.0, 0.0, -5.0]), NodalMoment([14], [1.0, 0.0, 0.0]), Pressure(2.0), Gravity([0.0, 0.0, -9.8]),
@@ -236,7 +236,7 @@ def test_a_scene_is_drawn_with_its_supports_loads_sets_and_watches():
     figure = scene_figure(scene, renderer_name="matplotlib")
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == [
-        "skin: 3 elements", "clamped: 3 nodes", "uz held: 1 node", "ux moved: 1 node", "force: 1 node",
+        "skin: 3 elements", "clamped: root, 3 nodes", "uz held: 1 node", "ux moved: 1 node", "force: 1 node",
         "moment: 1 node", "pressure: 15 nodes", "gravity: 15 nodes", "watched: tip",
     ]  # fmt: skip
     assert figure.get_suptitle() == "all_kinds: supports and loads"

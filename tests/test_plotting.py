@@ -14,11 +14,11 @@ jax.config.update("jax_enable_x64", True)
 
 from synthetic import synthetic_solution  # noqa: E402
 
+from jaxshell import plotting  # noqa: E402
 from jaxshell.model.generators import rectangle  # noqa: E402
 from jaxshell.model.scene import Scene  # noqa: E402
 from jaxshell.model.sections import Section  # noqa: E402
 from jaxshell.model.supports import Support, clamped, pinned, symmetry  # noqa: E402
-from jaxshell import plotting  # noqa: E402
 from jaxshell.plotting.shapes import symmetry_planes  # noqa: E402
 from jaxshell.plotting.style import line, scaled  # noqa: E402
 from jaxshell.results.diagnostics import energy_balance, momentum_scales  # noqa: E402
