@@ -1,6 +1,7 @@
 """Pictures: the right figures with the right curves, labels and units; what cannot be drawn is left out."""
 
 import dataclasses
+import functools
 
 import equinox as eqx
 import jax
@@ -8,21 +9,23 @@ import jax.numpy as jnp
 import matplotlib.image
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 jax.config.update("jax_enable_x64", True)
 
 from synthetic import synthetic_solution  # noqa: E402
 
+from jaxshell import plotting  # noqa: E402
 from jaxshell.model.generators import rectangle  # noqa: E402
 from jaxshell.model.scene import Scene  # noqa: E402
 from jaxshell.model.sections import Section  # noqa: E402
 from jaxshell.model.supports import Support, clamped, pinned, symmetry  # noqa: E402
-from jaxshell.plotting import figures, plot  # noqa: E402
-from jaxshell.plotting.shapes import _label_shapes, symmetry_planes  # noqa: E402
+from jaxshell.plotting.shapes import symmetry_planes  # noqa: E402
 from jaxshell.plotting.style import line, scaled  # noqa: E402
 from jaxshell.results.diagnostics import energy_balance, momentum_scales  # noqa: E402
 from jaxshell.scenes import PAPER  # noqa: E402
+
+# By VTK they are drawn in test_pictures.py.
+figures, plot = (functools.partial(function, renderer="matplotlib") for function in (plotting.figures, plotting.plot))
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +75,8 @@ def test_energy_panels_and_balance(cap):
     total = panels[1].get_lines()[2]
     assert total.get_label() == "K + S" and np.allclose(total.get_ydata(), runs["EDMC1"].energy.total)
     # The synthetic runs lose a tenth of K + S = 1.
-    assert np.allclose([np.asarray(curve.get_ydata())[-1] for curve in below.get_lines()], [0, -10, -10])
+    ends = [np.asarray(curve.get_ydata(), float)[-1] for curve in below.get_lines()]
+    assert not ends[0] > 1e-15 and np.allclose(ends[1:], 0.1)
 
 
 def test_balance_counts_work_and_dissipation():
@@ -88,7 +92,7 @@ def test_momentum_of_a_free_shell_only_of_the_whole(cap):
     drawn = figures(synthetic_solution(PAPER["plate"]((3, 1))))
     assert "velocity" not in drawn
     labels = [panel.get_ylabel() for panel in drawn["momentum"].axes]
-    assert labels[:2] == ["$L_x$ in N s", "$J_x$ in N m s"] and len(labels) == 6
+    assert labels[:2] == ["$L_x$ in N s", "$J_x$ in N m s"] and len(labels) == 8
     assert "momentum" not in figures(synthetic_solution(cap))
 
 
@@ -106,20 +110,8 @@ def test_momentum_of_a_shell_that_only_spins_is_a_flat_line():
     linear, angular = momentum_scales(run)
     size = float(np.linalg.norm(np.ptp(run.scene.mesh.nodes, axis=0)))
     assert linear > 0 and np.isclose(angular, linear * size)
-    for panel in figures(run)["momentum"].axes[::2]:
+    for panel in figures(run)["momentum"].axes[:6:2]:
         assert np.allclose(panel.get_ylim(), [-0.05 * linear, 0.05 * linear])
-
-
-def test_times_of_shapes_that_lie_together_stand_above_each_other():
-    """Three shapes in the same place: their labels a line apart."""
-    figure = Figure()
-    panel = figure.subplots()
-    shape = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 1.0, 0.0]])
-    _label_shapes(panel, [shape, shape + 1e-3, shape, shape + 5.0], ["t = 0", "t = 1", "t = 2", "t = 3"])
-    heights = [text.xy[1] for text in panel.texts]
-    assert heights[0] == 1.0 and heights[3] == 6.0
-    steps = np.diff(heights[:3])
-    assert steps.min() > 0 and np.isclose(steps[0], steps[1])
 
 
 def test_units_only_where_the_scene_has_them(cap):

@@ -10,10 +10,10 @@ import os
 import sys
 from collections.abc import Sequence
 
-from jaxshell.command import advise, chart, export, plot, run, scenes, sweep
+from jaxshell.command import advise, animate, chart, export, plot, run, scenes, sweep, view
 from jaxshell.numerics.signals import LostOutput, exit_status, raising
 
-COMMANDS = (run, sweep, plot, export, chart, advise, scenes)
+COMMANDS = (run, sweep, plot, animate, view, export, chart, advise, scenes)
 """In the order of `jaxshell --help`. Each has `add(commands)`, which adds its parser and names its function."""
 
 

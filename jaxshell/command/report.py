@@ -8,7 +8,7 @@ from jaxshell.model.gauge import ply_counts
 from jaxshell.model.mechanisms import connected_parts
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.plane_stress import principal
-from jaxshell.results.diagnostics import energy_balance, loads_end, momentum_scales
+from jaxshell.results.diagnostics import energy_balance, momentum_drift
 from jaxshell.results.section_forces import section_forces
 from jaxshell.results.solution import Solution
 from jaxshell.results.stresses import largest_von_mises
@@ -77,19 +77,12 @@ def _energy(run: Solution) -> list[str]:
 
 def _momentum(run: Solution) -> list[str]:
     """Drift of the momenta of a shell without supports, once its loads have ended."""
-    if run.scene.supports:
+    drift = momentum_drift(run)
+    if drift is None:
         return []
-    after = loads_end(run.scene)
-    late = np.asarray(run.times) >= after * (1 + 1e-12)
-    if late.sum() < 2:
-        return []
-    drifts = []
-    for name, scale in zip(("linear", "angular"), momentum_scales(run), strict=True):
-        values = np.asarray(getattr(run.momentum, name))[late]
-        drift = np.linalg.norm(values - values[0], axis=1).max()
-        drifts.append(drift / scale if scale > 0 else 0.0)
-    since = f" after the loads (t = {after:.6g})" if after > 0 else ""
+    since = f" after the loads (t = {drift.since:.6g})" if drift.since > 0 else ""
+    linear, angular = drift.linear.max(), drift.angular.max()
     return [
-        f"  momentum{since} changes by linear {drifts[0]:.1e} of √(2 M K), angular {drifts[1]:.1e} of that times "
+        f"  momentum{since} changes by linear {linear:.1e} of √(2 M K), angular {angular:.1e} of that times "
         "the shell's size"
     ]

@@ -97,7 +97,10 @@ def _run(options: argparse.Namespace) -> int:
             print(f"jaxshell: {label} failed. {solution.message}", file=sys.stderr)
     if not options.no_plots:
         from jaxshell.plotting import plot
+        from jaxshell.results.joined import joined
 
+        if restart is not None:  # the whole run is drawn, from its beginning
+            solutions = {label: joined(restart, solution) for label, solution in solutions.items()}
         for path in plot(solutions, options.output, stem):
             say(f"  {path}")
     return 1 if failed else 0

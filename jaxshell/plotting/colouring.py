@@ -1,5 +1,7 @@
-"""What deformed shapes are coloured by: displacements, stresses, section forces; one value for each triangle."""
+"""What deformed shapes are coloured by: displacements, velocities, stresses, section forces; smoothed values at the
+corners of the triangles."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,10 +10,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 
 from jaxshell.model.gauge import Gauge, gauge_of
-from jaxshell.plotting.style import plain, scaled
-from jaxshell.results.smoothing import nodal
+from jaxshell.plotting.style import length_unit, plain, scaled
+from jaxshell.results.smoothing import nodal, smooth_patches
 from jaxshell.results.solution import Solution
-from jaxshell.results.stresses import gauge_field
+from jaxshell.results.stresses import checked_gauge, gauge_field
 
 COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.15, 1, 256)))
 """Perceptually uniform and monotone in grey; without its darkest end, in which edges and shades drown."""
@@ -19,44 +21,71 @@ _SIGNED = colormaps["coolwarm"]
 """Of what has a sign: white at zero, as dark at either end."""
 
 
+MOTIONS = ("displacement", "velocity")
+"""Fields besides the texts of gauges."""
+
+
 class Colouring(NamedTuple):
     """Colours of the triangles in some frames."""
 
     values: list[np.ndarray]
-    """(m,) of each frame, in the unit of the label."""
+    """(m, 3) at the triangles' corners of each frame, in the unit of the label."""
     colours: ScalarMappable
     label: str
+    divisor: float
+    """What the solution's values are divided by."""
 
 
-def displaced(run: Solution, displacements: np.ndarray) -> Colouring:
-    """By how far each point has moved."""
-    distances = [np.linalg.norm(u, axis=1) for u in displacements]
-    largest = max(float(d.max()) for d in distances)
-    length, unit = scaled(run.scene, largest, "m")
-    colours = ScalarMappable(Normalize(0, largest / length if largest > 0 else 1.0), COLOUR_MAP)
-    values = [distance[run.scene.mesh.triangles].mean(axis=1) / length for distance in distances]
-    return Colouring(values, colours, f"Displacement{unit}")
+def colouring(runs: Sequence[Solution], frames: Sequence[Sequence[int]], field: str = "displacement") -> Colouring:
+    """Colours of some frames of each run, one run's after another's, all on one scale.
 
-
-def contour(run: Solution, frames: list[int], component: str) -> Colouring:
-    """By a stress or a section force, smoothed to the nodes. Raises ValueError for a text that names none."""
-    fields = [np.asarray(nodal(run.scene, gauge_field(run, component, frame))).mean(axis=1) for frame in frames]
-    gauge = gauge_of(component)
-    assert gauge is not None  # or gauge_field had complained
-    low, high = min(float(f.min()) for f in fields), max(float(f.max()) for f in fields)
+    `field` is "displacement", "velocity" (how far a point has moved, how fast it is), or the text of a gauge
+    (`jaxshell.model.gauge`), whose values are smoothed to the nodes. Raises ValueError for another text, and for what
+    the section does not have.
+    """
+    if field not in MOTIONS:
+        for run in runs:
+            checked_gauge(run.scene, field)
+    values = [
+        value for run, chosen in zip(runs, frames, strict=True) for value in field_values(run, list(chosen), field)
+    ]
+    low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
     largest = max(abs(low), abs(high))
-    divisor, unit = scaled(run.scene, largest, symbol_of(gauge))
-    if low < 0 < high:
-        limits, colour_map = (-largest / divisor, largest / divisor), _SIGNED
+    scene = runs[0].scene
+    gauge = gauge_of(field)
+    if gauge is None:
+        label = field.capitalize()
+        # Displacements have the unit of the scale bar beside them.
+        divisor, unit = length_unit(scene) if field == "displacement" else scaled(scene, largest, "m/s")
+        unit = f" in {unit}" if unit and field == "displacement" else unit
+        limits, colour_map = (0.0, largest / divisor), COLOUR_MAP
     else:
-        limits, colour_map = (low / divisor, high / divisor), COLOUR_MAP
+        label = name_of(field, gauge)
+        divisor, unit = scaled(scene, largest, symbol_of(gauge))
+        signed = low < 0 < high
+        limits = (-largest / divisor, largest / divisor) if signed else (low / divisor, high / divisor)
+        colour_map = _SIGNED if signed else COLOUR_MAP
     if limits[0] == limits[1]:
-        limits = limits[0] - 0.5, limits[0] + 0.5
-    return Colouring(
-        [field / divisor for field in fields],
-        ScalarMappable(Normalize(*limits), colour_map),
-        f"{name_of(component, gauge)}{unit}",
-    )
+        limits = (limits[0], limits[0] + 1.0) if gauge is None else (limits[0] - 0.5, limits[0] + 0.5)
+    colours = ScalarMappable(Normalize(*limits), colour_map)
+    return Colouring([value / divisor for value in values], colours, f"{label}{unit}", divisor)
+
+
+def field_values(run: Solution, frames: list[int], field: str) -> list[np.ndarray]:
+    """(m, 3) at the triangles' corners of each of the frames, in the solution's units."""
+    return _motion(run, frames, field) if field in MOTIONS else _gauge(run, frames, field)
+
+
+def _motion(run: Solution, frames: list[int], field: str) -> list[np.ndarray]:
+    found = run.frame(frames)
+    vectors = np.asarray(found.displacements if field == "displacement" else found.velocities)
+    return list(np.linalg.norm(vectors, axis=2)[:, run.scene.mesh.triangles])
+
+
+def _gauge(run: Solution, frames: list[int], field: str) -> list[np.ndarray]:
+    patches = smooth_patches(run.scene)
+    # Frame by frame, in one program: all at once may be larger than memory.
+    return [np.asarray(nodal(run.scene, gauge_field(run, field, frame), patches=patches)) for frame in frames]
 
 
 def name_of(component: str, gauge: Gauge) -> str:

@@ -76,7 +76,7 @@ def _quantiles(sweep: Sweep) -> Figure:
     bands = sweep.quantile((0.05, 0.25, 0.5, 0.75, 0.95))
     t, ended = sweep.times / seconds, np.flatnonzero(sweep.successful)
     for panel, (label, component) in zip(panels, _watch(sweep), strict=True):
-        divisor, text = watched_axis(sweep.scene, label, component, [bands[label][:, np.isfinite(bands[label][0])]])
+        divisor, text = watched_axis(sweep.scene, label, component, float(np.nanmax(np.abs(bands[label]))))
         low, lower, middle, upper, high = bands[label] / divisor
         panel.fill_between(t, low, high, color=SKY, alpha=0.35, linewidth=0, label="5 to 95 %")
         panel.fill_between(t, lower, upper, color=BLUE, alpha=0.35, linewidth=0, label="25 to 75 %")

@@ -3,6 +3,8 @@
 import math
 from typing import Any
 
+import numpy as np
+
 from jaxshell.model.scene import Scene
 
 # Okabe & Ito 2008: told apart with every common colour-vision deficiency. Each goes with a dash pattern.
@@ -41,6 +43,11 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
+def title(scene: Scene, name: str, what: str) -> str:
+    """A picture's title: the scene, the run's name (its method) where there is one, and what is drawn."""
+    return f"{plain(scene.name)}{', ' + name if name else ''}: {what}"
+
+
 def line(position: int) -> dict:
     """Colour and dashes of the run at `position` among those compared."""
     return {"color": COLOURS[position % len(COLOURS)], "linestyle": DASHES[position % len(DASHES)]}
@@ -54,6 +61,12 @@ def scaled(scene: Scene, largest: float, symbol: str) -> tuple[float, str]:
         return 1.0, f" in {symbol}"
     power = max(-9, min(9, 3 * math.floor(math.log10(2 * largest) / 3)))
     return 10.0**power, f" in {_PREFIXES[power]}{symbol}"
+
+
+def length_unit(scene: Scene) -> tuple[float, str]:
+    """(divisor, unit) of all lengths in a picture of the scene's shell: that of its size; (1, "") without units."""
+    divisor, unit = scaled(scene, float(np.ptp(np.asarray(scene.mesh.nodes), axis=0).max()), "m")
+    return divisor, unit.removeprefix(" in ")
 
 
 def symmetry_note(planes: int) -> str:

@@ -1,4 +1,6 @@
-"""What a run's energies and momenta are measured against: balance, scales, and when the loads end."""
+"""What a run's energies and momenta are measured against: balance, scales, drifts, and when the loads end."""
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +25,33 @@ def momentum_scales(run: Solution) -> tuple[float, float]:
     mass = float(np.asarray(run.scene.section.area_masses(mesh)) @ triangle_areas(nodes, mesh.triangles))
     linear = float(np.sqrt(2 * mass * np.max(np.asarray(run.energy.kinetic))))
     return linear, linear * float(np.linalg.norm(np.ptp(nodes, axis=0)))
+
+
+class Drift(NamedTuple):
+    """How far the momenta of a free shell are from those that they had when the loads ended."""
+
+    since: float
+    """When the loads ended [time]."""
+    times: np.ndarray
+    """(j,) from then on."""
+    linear: np.ndarray
+    """(j,) as a fraction of the first of `momentum_scales`."""
+    angular: np.ndarray
+    """(j,) as a fraction of the second."""
+
+
+def momentum_drift(run: Solution) -> Drift | None:
+    """The drift of both momenta; None of a shell that supports hold, and where loads act to the end."""
+    since, times = loads_end(run.scene), np.asarray(run.times)
+    late = times >= since * (1 + 1e-12)
+    if run.scene.supports or late.sum() < 2:
+        return None
+    found = []
+    for name, scale in zip(("linear", "angular"), momentum_scales(run), strict=True):
+        values = np.asarray(getattr(run.momentum, name))[late]
+        drift = np.linalg.norm(values - values[0], axis=1)
+        found.append(drift / scale if scale > 0 else 0.0 * drift)
+    return Drift(since, times[late], *found)
 
 
 def loads_end(scene: Scene) -> float:

@@ -54,6 +54,47 @@ class StoredFrames(eqx.Module):
         return Frames(**{name: jnp.asarray(a if numbers.ndim else a[0]) for name, a in found.items()})
 
 
+class JoinedFrames(eqx.Module):
+    """The frames of several runs, one run's after another's."""
+
+    parts: tuple["Frames | StoredFrames | JoinedFrames", ...]
+    numbers: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    """Which of each run's own frames."""
+
+    @property
+    def displacements(self) -> Float[Array, "f n 3"]:
+        return self.at(self._every()).displacements
+
+    @property
+    def rotations(self) -> Float[Array, "f n 3 3"]:
+        return self.at(self._every()).rotations
+
+    @property
+    def velocities(self) -> Float[Array, "f n 3"]:
+        return self.at(self._every()).velocities
+
+    def at(self, which) -> Frames:
+        """One frame by its number, or several by a list of numbers; nothing else is read."""
+        owners = [(part, own) for part, numbers in enumerate(self.numbers) for own in numbers]
+        chosen = np.arange(len(owners))[which]
+        if not chosen.ndim:
+            part, own = owners[chosen]
+            return self.parts[part].at(own)
+        found = [
+            (position, self.parts[part].at([owners[i][1] for i in chosen[position]]))
+            for part in range(len(self.parts))
+            if (position := np.flatnonzero([owners[i][0] == part for i in chosen])).size
+        ]
+        if not found:
+            return self.parts[0].at([])
+        back = np.argsort(np.concatenate([position for position, _ in found]))
+        arrays = jax.tree.map(lambda *a: jnp.concatenate(a)[back], *(frames for _, frames in found))
+        return Frames(arrays.displacements, arrays.rotations, arrays.velocities)
+
+    def _every(self) -> list[int]:
+        return list(range(sum(map(len, self.numbers))))
+
+
 _NAMES = ("displacements", "rotations", "velocities")
 _remembered: dict[tuple[StoredFrames, str], jax.Array] = {}
 """The arrays that were read last."""

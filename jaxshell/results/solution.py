@@ -6,7 +6,7 @@ import equinox as eqx
 from jaxtyping import Bool, Float, Int
 
 from jaxshell.model.scene import Scene
-from jaxshell.results.frames import Array, Frames, StoredFrames
+from jaxshell.results.frames import Array, Frames, JoinedFrames, StoredFrames
 
 
 class RESULTS(eqx.Enumeration):
@@ -76,7 +76,7 @@ class Solution(eqx.Module):
     momentum: Momentum
     iterations: Int[Array, " k"]
     frame_times: Float[Array, " f"]
-    frames: Frames | StoredFrames
+    frames: Frames | StoredFrames | JoinedFrames
     result: RESULTS
     message: str = eqx.field(static=True)
     """For a failed run: step, time and what to try; empty otherwise."""
