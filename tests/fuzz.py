@@ -74,6 +74,7 @@ def attempt(seed: int, folder: Path) -> tuple[str, Failure | None]:
         )
         if name == "scene file" and not _in_reading(error):
             words = ["dt", "t_end", "step", "method", "newton", "dissipation", "spectral", "beta", "gamma", "alpha"]
+            words += ["load_factors", "arc_length", "max_load_factor", "supports leave", "nothing loads"]
         failure = _of_message(name, error, words)
     except Overdue:
         failure = Failure(f"{name}: more than {LIMIT} s", "")

@@ -16,6 +16,7 @@ jax.config.update("jax_enable_x64", True)
 
 import jaxshell as js  # noqa: E402
 from jaxshell import scenes  # noqa: E402
+from jaxshell.command.analyses import path_analysis  # noqa: E402
 from jaxshell.command.run_settings import arguments_of_simulate, chosen_methods  # noqa: E402
 from jaxshell.files.run_keys import RunSettings  # noqa: E402
 from jaxshell.files.scene_file import read_scene_file  # noqa: E402
@@ -151,6 +152,23 @@ FILES: list[dict] = [
                     "B": [[0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]], "mass_per_area": 1.0,
                     "D": [[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]], "rotary_inertia": 0.1, "first_moment": 0.01},
     },
+    {
+        "mesh": {"generator": "rectangle", "length": 4.0, "width": 2.0, "divisions": [4, 2],
+                 "node_sets": {"root": {"plane": {"x": 0.0}}, "tip": [12, 13, 14]}, "element_sets": {"skin": [0, 1, 2]},
+                 "side_sets": {"rib": {"plane": {"x": 2.0}, "inner": True}, "end": [[12, 13], [13, 14]]}},
+        "section": SECTION,
+        "supports": [{"nodes": "root", "hold": "clamped"}],
+        "loads": [{"kind": "edge force", "edges": "rib", "force": [0.0, 0.0, 1.0]},
+                  {"kind": "edge force", "plane": {"x": 1.0}, "inner": True, "force": [0.0, 0.0, 1.0]},
+                  {"kind": "pressure", "elements": "skin", "pressure": 1.0}],
+        "initial": [{"nodes": "tip", "velocity": [0.0, 0.0, 1.0]}, {"nodes": [0], "angular_velocity": [0.0, 1.0, 0.0]}],
+        "run": {"analysis": "static", "load_factors": [0.5, 1.0], "branch": "follow", "newton_tolerance": 1e-10},
+    },
+    {"mesh": {"generator": "rectangle", "length": 4.0, "width": 2.0, "divisions": [2, 1]}, "section": SECTION,
+     "supports": [{"plane": {"x": 0.0}, "hold": "clamped"}], "loads": [{"kind": "gravity", "acceleration": [0.0, 0.0, 1.0]}],
+     "run": {"analysis": "arc-length", "arc_length": 0.1, "max_steps": 3, "max_load_factor": 2.0, "tangent": "autodiff"}},
+    {"mesh": {"generator": "rectangle", "length": 4.0, "width": 2.0, "divisions": [2, 1]}, "section": SECTION,
+     "run": {"analysis": "modes", "count": 3, "rigid_modes": False, "preload": 0.5}},
     {"mesh": {"file": "sheet.vtk", "quads": "split", "second_order": "split", "merge": 1e-6, "orient": True, "coincident": "error"}, "section": SECTION},
 ]  # fmt: skip
 
@@ -233,6 +251,10 @@ def try_scene_file(random: Random, folder: Path) -> tuple[str, list[str]]:
     words = [*keys, "scene.toml"]
     scene, settings = read_scene_file(file)
     check_finite(scene)
+    if settings.analysis in ("static", "arc-length") and scene.mesh.n_elements < 200:
+        solve, asked = path_analysis(RunSettings(save_every=1) | settings)
+        _reach(solve, scene, **asked)
+        return text, words
     methods = chosen_methods(settings, scene)
     if settings.dt is not None and settings.t_end is not None and scene.mesh.n_elements < 200:
         arguments = arguments_of_simulate(RunSettings(save_every=1) | settings)

@@ -196,10 +196,10 @@ def test_a_static_result_is_run_in_time_as_its_scene(tmp_path, capsys):
     section, load = Section(0.1, 1e4, 0.3, 1.0), NodalForce([2], [0.0, 0.0, 0.1])
     scene = Scene(mesh, section, [clamped([0, 3])], [load], watch={"tip": (2, "uz")})
     solve_static(scene, [1.0], output=tmp_path / "still.h5")
-    run = ["run", str(tmp_path / "still.h5"), "--no-plots", "--quiet", "--output", str(tmp_path)]
+    run = ["run", str(tmp_path / "still.h5"), "--analysis", "time", "--no-plots", "--quiet", "--output", str(tmp_path)]
     assert main(run) == 2 and "The scene gives no dt: add --dt" in capsys.readouterr().err
     assert main([*run, "--dt", "0.1", "--t-end", "1"]) == 0
-    moving = Solution.load(tmp_path / "still_rerun.h5")
+    moving = Solution.load(tmp_path / "still_rerun_time.h5")
     assert moving.stats["method"].startswith("GeneralizedEnergyMomentum(") and "reuse=True" in moving.stats["newton"]
     assert main([*run, "--dt", "0.1", "--t-end", "1", "--continue"]) == 2
     assert "still.h5 holds no state to go on from: it is of statics" in capsys.readouterr().err
@@ -342,7 +342,7 @@ def test_the_scene_gives_its_methods_their_parameters():
 def test_other_methods_go_by_their_class():
     cap = PAPER["cap"]()
     assert choose_methods(cap, ["Newmark"]) == {"Newmark": Newmark()}
-    with pytest.raises(ValueError, match="The method 'newmark' has no spectral_radius"):
+    with pytest.raises(ValueError, match="The method 'Newmark' has no spectral_radius"):
         choose_methods(cap, ["Newmark"], {"spectral_radius": 0.5})
 
 

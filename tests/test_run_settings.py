@@ -69,9 +69,72 @@ RUNS = {
     "central": {"method": ("CentralDifference",), "safety": 0.5, "dt": 1e-5, "t_end": 3e-5},
 }
 
+SOLVED = {key: COMMON[key] for key in COMMON if key.startswith("newton_") or key in ("tangent", "linear_solver")}
+ANALYSES = {
+    "static": SOLVED | {"load_factors": (0.5, 2.0), "branch": "follow", "save_every": 2},
+    "static in steps": SOLVED | {"analysis": "static", "load_steps": 4, "picture_times": (0.0, 0.5)},
+    "arc-length": SOLVED | {"arc_length": 0.1, "max_steps": 7, "max_load_factor": 3.0},
+    "modes": {"count": 4, "rigid_modes": False, "preload": 0.5},
+    "buckling": {"count": 2},
+}
+ANALYSES = {name: {"analysis": name, **settings} for name, settings in ANALYSES.items()}
+
 
 def test_every_key_is_tried():
-    assert set().union(*RUNS.values()) == set(KEYS)
+    assert set().union(*RUNS.values(), *ANALYSES.values()) == set(KEYS)
+
+
+@pytest.mark.parametrize("name", ANALYSES)
+def test_other_analyses_are_asked_for_alike(name, monkeypatch, tmp_path):
+    """By the command line and a [run] table: the same function with the same arguments."""
+    settings = ANALYSES[name]
+
+    def called(function):
+        def asked(scene, *positional, **named):
+            if function == "solve_static" and settings["analysis"] == "modes":
+                return "loaded"
+            raise Called(function, getattr(scene.defaults, "picture_times", ()), positional, named)
+
+        return asked
+
+    for home, function in (
+        ("statics", "solve_static"),
+        ("arc_length", "solve_arc_length"),
+        ("modal", "natural_frequencies"),
+        ("modal", "linear_buckling"),
+    ):
+        monkeypatch.setattr(f"jaxshell.analyses.{home}.{function}", called(function))
+
+    def arguments_of(arguments):
+        with pytest.raises(Called) as found:
+            main([*arguments, "--no-plots", "--quiet", "--output", str(tmp_path)])
+        function, times, positional, named = found.value.args
+        named = {key: value for key, value in named.items() if key not in ("output", "progress")}
+        if "load_factors" in named:
+            named["load_factors"] = tuple(map(float, named["load_factors"]))
+        return function, times, positional, named
+
+    (tmp_path / "plain.toml").write_text(SCENE)
+    (tmp_path / "said.toml").write_text(as_table(settings))
+    found = arguments_of(["run", str(tmp_path / "plain.toml"), *as_options(settings)])
+    assert found == arguments_of(["run", str(tmp_path / "said.toml")])
+    function, times, positional, named = found
+    assert times == settings.get("picture_times", ())
+    if function == "natural_frequencies":
+        assert (positional, named) == ((4, "loaded"), {"rigid_modes": False})
+    elif function == "linear_buckling":
+        assert positional == (2,)
+    else:
+        assert named["newton"] == js.Newton(1e-6, 20, 0.2, False, "norm") and named["linear_solver"] == js.Dense()
+        assert named["tangent"] == "autodiff" and named["save_every"] == settings.get("save_every", 1)
+        own = {key: named[key] for key in named if key in KEYS or key == "steps"}
+        expected = {
+            "static": {"load_factors": (0.5, 2.0), "branch": "follow"},
+            "static in steps": {"load_factors": (0.25, 0.5, 0.75, 1.0)},
+            "arc-length": {"arc_length": 0.1, "steps": 7, "max_load_factor": 3.0},
+        }
+        others = ("tangent", "linear_solver", "save_every")
+        assert {key: value for key, value in own.items() if key not in others} == expected[name]
 
 
 class Called(Exception):

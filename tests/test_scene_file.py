@@ -123,7 +123,7 @@ SUPPORT = '[[supports]]\nplane = { x = 0.0 }\nhold = "clamped"\n'
         ("[mesh", "is not a valid TOML file"),
         (
             BASE.replace("thickness", "thicknes"),
-            r"\[section\] has the unknown key 'thicknes'. Known keys: thickness,",
+            r"\[section\] has the unknown key 'thicknes'. Did you mean 'thickness'\? Known keys: thickness,",
         ),
         (BASE.replace("density = 1.0", ""), r"\[section\] lacks 'density'"),
         (BASE.replace("0.1", "-0.1"), r"\[section\] thickness must be positive, but it is -0.1"),
@@ -132,7 +132,7 @@ SUPPORT = '[[supports]]\nplane = { x = 0.0 }\nhold = "clamped"\n'
         (BASE.replace("[4, 2]", "[4]"), r"\[mesh\] divisions of a rectangle must be .* but are \[4\]"),
         (BASE.replace("width", "height"), r"\[mesh\] has the unknown key 'height'"),
         ('[mesh]\nfile = "no.msh"', "There is no file .*no.msh"),
-        (BASE + "[run]\nstep = 1", r"\[run\] has the unknown key 'step'. Known keys: method"),
+        (BASE + "[run]\nstep = 1", r"\[run\] has the unknown key 'step'.* Known keys: analysis, "),
         (BASE + "[supports]\nhold = 1", r"write \[\[supports\]\] above each"),
         (BASE + SUPPORT.replace("plane", "plain"), r"\[\[supports\]\] number 1: has the unknown key 'plain'"),
         (

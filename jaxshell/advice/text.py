@@ -35,7 +35,8 @@ def describe(scene: Scene, advice: Advice) -> str:
         f" against {advice.reference.origin} (known to {advice.reference.uncertainty:.1e})",
         *(f"  - {reason}" for reason in advice.reasons),
     ]
-    if scene.defaults is not None and window < 0.999 * scene.defaults.t_end:
+    t_end = None if scene.defaults is None else scene.defaults.t_end
+    if t_end is not None and window < 0.999 * t_end:
         lines.append(f"  What happens after t = {window:.4g} was not tried.")
     lines += [
         "Use",
@@ -73,7 +74,8 @@ def command_line(scene: str, advice: Advice) -> str:
 def run_section(scene: Scene, advice: Advice) -> str:
     """The [run] table of a scene file."""
     method = advice.best.method
-    t_end = scene.defaults.t_end if scene.defaults is not None else float(advice.reference.times[-1])
+    t_end = None if scene.defaults is None else scene.defaults.t_end
+    t_end = float(advice.reference.times[-1]) if t_end is None else t_end
     lines = ["[run]", f'method = "{_file_name(method)}"']
     if isinstance(method, methods.GeneralizedEnergyMomentum):
         lines += [

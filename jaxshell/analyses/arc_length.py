@@ -96,7 +96,7 @@ def solve_arc_length(
     check_supported(scene)
     setup = set_up(scene, _STATIC, newton, linear_solver=linear_solver, tangent=tangent, save_every=save_every)
     with Progress(steps=steps, enabled=progress) as bar:
-        solution = _driven(setup, arc_length, steps, max_load_factor, output, bar)
+        solution = _driven(setup, arc_length, steps, max_load_factor, output, bar, linear_solver)
     if throw and solution.message:
         raise SimulationError(solution.message, solution)
     return solution
@@ -207,8 +207,10 @@ def _advance(model: Model, plan: Plan, state: StaticState, previous, length):
     return state, u[:, :3], result, record, program.frame(model, state), weakest
 
 
-def _driven(setup: Setup, arc_length, steps, max_load_factor, output, bar) -> Solution:
-    log = StaticLog(setup, output)
+def _driven(setup: Setup, arc_length, steps, max_load_factor, output, bar, linear_solver) -> Solution:
+    asked: dict[str, Any] = {"arc_length": None if arc_length is None else float(arc_length), "max_steps": int(steps)}
+    asked["max_load_factor"] = float(max_load_factor)
+    log = StaticLog(setup, output, linear_solver, analysis="arc-length", **asked)
     model, carry, record, frame = setup.prepare(proportional(setup.scene))
     state, previous = carry.state, jnp.zeros_like(carry.state.d)
     longest = _first_length(model, setup.plan, state, previous) if arc_length is None else float(arc_length)

@@ -33,6 +33,8 @@ from jaxshell.model.scene import Scene
 from jaxshell.numerics import rotations
 from jaxshell.numerics.checks import is_concrete, require_float64
 from jaxshell.numerics.compiled import compiled
+from jaxshell.results.eigenmodes import Eigenmodes, load_eigenmodes, save_eigenmodes
+from jaxshell.results.head import BUCKLING, MODES
 from jaxshell.results.solution import Solution
 from jaxshell.solvers.eigenpairs import Pencil, eigenvalues, eigenvectors, quadratic, symmetric
 from jaxshell.solvers.iteration import Linear
@@ -55,6 +57,23 @@ class Modes(eqx.Module):
     """Nodal displacements and spins, mass-normalised: φᵀ M φ = 1. Their derivatives are NaN where another frequency is
     equal."""
 
+    def save(self, path, scene: Scene) -> None:
+        """Write the modes and the scene that they are of; `jaxshell plot` draws the file.
+
+        A file that holds a finished run is replaced. Raises ValueError where it holds something else; OSError where
+        nothing can be written.
+        """
+        save_eigenmodes(Eigenmodes(MODES, scene, self.frequencies, self.shapes), path)
+
+    @classmethod
+    def load(cls, path) -> tuple["Modes", Scene]:
+        """The modes of a file that `save` or `jaxshell run` wrote, and their scene.
+
+        Raises FileNotFoundError; ValueError for a file that is not ours, damaged, or that holds something else.
+        """
+        found = load_eigenmodes(path, MODES)
+        return cls(found.values, found.shapes), found.scene
+
 
 class BucklingModes(eqx.Module):
     """Linear buckling factors and modes, lowest first."""
@@ -64,6 +83,16 @@ class BucklingModes(eqx.Module):
     shapes: Float[Array, "c n 6"]
     """Nodal displacements and spins, the largest displacement 1. Their derivatives are NaN where another factor is
     equal."""
+
+    def save(self, path, scene: Scene) -> None:
+        """As `Modes.save`."""
+        save_eigenmodes(Eigenmodes(BUCKLING, scene, self.load_factors, self.shapes), path)
+
+    @classmethod
+    def load(cls, path) -> tuple["BucklingModes", Scene]:
+        """As `Modes.load`."""
+        found = load_eigenmodes(path, BUCKLING)
+        return cls(found.values, found.shapes), found.scene
 
 
 def natural_frequencies(

@@ -151,7 +151,7 @@ def solve_static(
         solution = run_traced(loaded, steps, Stored(), throw, analysis="static")
         return eqx.tree_at(lambda s: s.scene, solution, scene)
     with Progress(float(factors[-1]), enabled=progress) as bar:
-        solution = _driven(setup, factors, branch, output, bar)
+        solution = _driven(setup, factors, branch, output, bar, linear_solver)
     lost = solution.stats["stability_lost"]
     if lost and branch == "straight":
         warnings.warn(LOST.format(lost[0]), stacklevel=2)
@@ -171,8 +171,9 @@ class _Reached(NamedTuple):
     code: int
 
 
-def _driven(setup: Setup, factors, branch: str, output, bar) -> Solution:
-    log = StaticLog(setup, output)
+def _driven(setup: Setup, factors, branch: str, output, bar, linear_solver) -> Solution:
+    asked = {"load_factors": tuple(factors.tolist()), "branch": branch}
+    log = StaticLog(setup, output, linear_solver, analysis="static", **asked)
     model, carry, record, frame = setup.prepare(proportional(setup.scene))
     now = _Reached(carry.state, carry.memory, 0.0, np.inf, int(SUCCESSFUL))
     message = ""
@@ -222,11 +223,16 @@ def _reach(model: Model, plan: Plan, now: _Reached, target, follow: bool, path: 
 
 
 class StaticLog(Log):
-    """The log of an analysis that goes step by step along a path of equilibria."""
+    """The log of an analysis that goes step by step along a path of equilibria.
 
-    def __init__(self, setup: Setup, output):
-        super().__init__(setup.scene, setup.plan, output, analysis="static")
-        self.path = Path()
+    `asked` are its name and its arguments, for the stats and for files that ask for the same run again, which name the
+    `linear_solver` that was given too.
+    """
+
+    def __init__(self, setup: Setup, output, linear_solver: LinearSolver | None, **asked):
+        solver = {} if linear_solver is None else {"linear_solver": type(linear_solver).__name__.lower()}
+        super().__init__(setup.scene, setup.plan, output, asked | solver, analysis="static")
+        self.path, self.asked = Path(), asked
 
     def start(self, record, frame) -> None:
         """The start of the path."""
@@ -242,7 +248,7 @@ class StaticLog(Log):
     def finish(self, state, code: int, message: str, **figures) -> Solution:
         """As every log, with what the path knows of stability in the stats."""
         carry = Carry(state, None, jnp.asarray(code))
-        return super().finish(carry, code, message, **self.path.figures(), **figures)
+        return super().finish(carry, code, message, **self.asked, **self.path.figures(), **figures)
 
 
 def reactions(solution: Solution) -> Float[Array, "*k n 6"]:

@@ -10,16 +10,32 @@ import os
 import sys
 from collections.abc import Sequence
 
-from jaxshell.command import advise, animate, chart, export, plot, run, scenes, sweep, view
+from jaxshell.command import (
+    advise,
+    animate,
+    chart,
+    check,
+    completion,
+    export,
+    init,
+    plot,
+    run,
+    scenes,
+    schema,
+    sweep,
+    view,
+)
 from jaxshell.numerics.signals import LostOutput, exit_status, raising
 
-COMMANDS = (run, sweep, plot, animate, view, export, chart, advise, scenes)
+COMMANDS = (init, check, run, sweep, plot, animate, view, export, chart, advise, scenes, schema, completion)
 """In the order of `jaxshell --help`. Each has `add(commands)`, which adds its parser and names its function."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status. Errors in the arguments leave through SystemExit(2)."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    completion.complete(parser)
+    options = parser.parse_args(arguments)
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(line_buffering=True)  # pyright: ignore[reportAttributeAccessIssue]
     try:

@@ -12,6 +12,7 @@ from typing import Any
 from jaxshell import methods
 from jaxshell.files.quoted import unquote
 from jaxshell.model.scene import Scene
+from jaxshell.numerics.nearest import meant
 
 _PAPER_CLASS: Any = methods.GeneralizedEnergyMomentum
 _PAPER = (("EMC", 1.0, 0.0), ("EDMC1", 0.8, 0.0), ("EDMC2", 1.0, 0.05))
@@ -19,7 +20,7 @@ _PAPER = (("EMC", 1.0, 0.0), ("EDMC1", 0.8, 0.0), ("EDMC2", 1.0, 0.05))
 
 
 _EXACT = "exact"
-_CLASS_OF_EXACT = {"energymomentum": _EXACT}
+_CLASS_OF_EXACT: dict[str, str] = {"energymomentum": _EXACT}
 
 
 def choose_methods(scene: Scene, names: Sequence[str], parameters: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -30,27 +31,26 @@ def choose_methods(scene: Scene, names: Sequence[str], parameters: Mapping[str, 
     """
     named, classes, given = _named(scene), _classes(), dict(parameters or {})
     wanted = [_CLASS_OF_EXACT.get(name.lower(), name.lower()) for name in names] or [next(iter(named))]
-    if "all" in wanted:
-        wanted = list(named)
-    wanted = list(dict.fromkeys(wanted))
     for name in wanted:
-        if name not in named and name not in classes:
-            others = [other for other in classes if classes[other] is not _PAPER_CLASS]
+        if name not in named and name not in classes and name != "all":
+            others = [_written(kind) for kind in classes.values() if kind is not _PAPER_CLASS]
             choices = [label for label, _, _ in named.values()] + others + ["all"]
-            raise ValueError(f"There is no method {name!r}. Choose out of {', '.join(choices)}.")
+            asked = next(given for given in names if given.lower() == name)
+            raise ValueError(f"There is no method {asked!r}.{meant(name, choices)} Choose out of {', '.join(choices)}.")
+    wanted = list(named) if "all" in wanted else list(dict.fromkeys(wanted))
     numbers = [key for key, value in given.items() if not isinstance(value, str)]
     if len(wanted) > 1 and numbers:
         raise ValueError(f"{numbers[0]} can be given for one method at a time.")
     found = {}
     for name in wanted:
         if name in named:
-            _, radius, xi = named[name]
+            written, radius, xi = named[name]
             kind, own = _PAPER_CLASS, {"spectral_radius": radius, "dissipation": xi}
         else:
-            kind, own = classes[name], {}
+            kind, own, written = classes[name], {}, _written(classes[name])
         for key in given:
             if key not in kind.__dataclass_fields__:
-                raise ValueError(f"The method {name!r} has no {key}.")
+                raise ValueError(f"The method {written!r} has no {key}.")
         method = kind(**own | given)
         found[method_label(method, scene)] = method
     return found
@@ -77,6 +77,11 @@ def parse_method(text: str) -> methods.Method:
     Raises ValueError for anything else.
     """
     return unquote(text, {method.__name__: method for method in _classes().values()})
+
+
+def _written(kind: type) -> str:
+    """A class's name as one writes it."""
+    return _CLASS_OF_EXACT.get(kind.__name__.lower(), kind.__name__)
 
 
 def _named(scene: Scene) -> dict[str, tuple[str, float, float]]:

@@ -26,9 +26,15 @@ def add(commands) -> None:
 def _plot(options: argparse.Namespace) -> int:
     prepare_jax()
     from jaxshell.plotting import plot
+    from jaxshell.plotting.modes import plot_modes
+    from jaxshell.results.eigenmodes import eigenmodes_in
 
-    runs = read_runs(options.files)
     directory = options.output or options.files[0].parent
+    if len(options.files) == 1 and (found := eigenmodes_in(options.files[0])) is not None:
+        for path in plot_modes(found, directory, options.files[0].stem, options.renderer):
+            print(path)
+        return 0
+    runs = read_runs(options.files)
     for path in plot(runs, directory, common_stem(options.files, runs), options.contour, options.renderer):
         print(path)
     return 0

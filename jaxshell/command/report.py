@@ -45,16 +45,21 @@ def describe_run(label: str, run: Solution, path: Path) -> str:
         low, high = int(values.argmin()), int(values.argmax())
         least, most = (f"{values[i]:.6g} at t = {times[i]:.6g}" for i in (low, high))
         lines.append(f"  {name}: {least} to {most}")
-    lines += _strained(run)
-    lines.append(f"  {path} ({path.stat().st_size / 1e6:.1f} MB)")
+    if len(run.frame_times):
+        lines += strained(run, f"at t = {float(run.frame_times[-1]):.6g}")
+    lines.append(f"  {size_of(path)}")
     return "\n".join(lines)
 
 
-def _strained(run: Solution) -> list[str]:
+def size_of(path: Path) -> str:
+    """A file's name and size."""
+    return f"{path} ({path.stat().st_size / 1e6:.1f} MB)"
+
+
+def strained(run: Solution, when: str) -> list[str]:
     """The largest stress of the last frame, or of sections without layers the largest section forces."""
     if not len(run.frame_times):
         return []
-    when = f"at t = {float(run.frame_times[-1]):.6g}"
     if ply_counts(run.scene.section, run.scene.mesh) is not None:
         largest = largest_von_mises(run)
         return [f"  largest von Mises stress {when}: {largest.value:.6g}, element {largest.element}, {largest.face}"]

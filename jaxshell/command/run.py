@@ -4,6 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from jaxshell.command.analyses import run_analysis
 from jaxshell.command.run_settings import (
     arguments_of_simulate,
     chosen_methods,
@@ -47,16 +48,26 @@ def add(commands) -> None:
 def _run(options: argparse.Namespace) -> int:
     one_thread_for_small_meshes(options.scene, options.divisions)
     prepare_jax()
+    scene, of_file, stem = open_scene(options.scene, options.divisions)
+    settings = settled(options, of_file, scene)
+    scene = with_picture_times(scene, settings)
+    analysis = str(settings.analysis)
+    if analysis != (of_file.analysis or "time"):
+        stem = f"{stem}_{analysis.replace('-', '_')}"
+    if analysis != "time":
+        return run_analysis(options, settings, scene, stem)
+    return _run_in_time(options, settings, scene, stem)
+
+
+def _run_in_time(options: argparse.Namespace, settings, scene, stem: str) -> int:
+    """The run of every method that is asked for, each into a file of its own; then the pictures of all together."""
     from jaxshell.analyses.simulation import simulate
     from jaxshell.command.report import describe_run, describe_scene
     from jaxshell.results.solution import RESULTS
 
-    scene, of_file, stem = open_scene(options.scene, options.divisions)
     restart = None
     if options.go_on:
         restart, stem = solution_to_go_on_from(options), f"{Path(options.scene).stem}_continued"
-    settings = settled(options, of_file, scene)
-    scene = with_picture_times(scene, settings)
     methods, arguments = chosen_methods(settings, scene), arguments_of_simulate(settings)
     t_end = required(settings, "t_end")
     if restart is not None and options.t_end is None:
@@ -79,14 +90,7 @@ def _run(options: argparse.Namespace) -> int:
                 output=_outputs(path, options),
             )
         except KeyboardInterrupt as stopped:
-            if path.exists():
-                print(
-                    f"jaxshell: stopped; {path} holds what was computed until then. "
-                    f"`jaxshell run {path} --continue` goes on with it.",
-                    file=sys.stderr,
-                )
-            else:
-                print("jaxshell: stopped before the first step.", file=sys.stderr)
+            _say_stopped(path)
             return exit_status(stopped)
         solutions[label] = solution
         say(describe_run(label, solution, path))
@@ -96,14 +100,29 @@ def _run(options: argparse.Namespace) -> int:
             failed.append(label)
             print(f"jaxshell: {label} failed. {solution.message}", file=sys.stderr)
     if not options.no_plots:
-        from jaxshell.plotting import plot
-        from jaxshell.results.joined import joined
-
-        if restart is not None:  # the whole run is drawn, from its beginning
-            solutions = {label: joined(restart, solution) for label, solution in solutions.items()}
-        for path in plot(solutions, options.output, stem):
-            say(f"  {path}")
+        _draw(solutions, restart, options.output, stem, say)
     return 1 if failed else 0
+
+
+def _draw(solutions: dict, restart, folder: Path, stem: str, say) -> None:
+    from jaxshell.plotting import plot
+    from jaxshell.results.joined import joined
+
+    if restart is not None:  # the whole run is drawn, from its beginning
+        solutions = {label: joined(restart, solution) for label, solution in solutions.items()}
+    for path in plot(solutions, folder, stem):
+        say(f"  {path}")
+
+
+def _say_stopped(path: Path) -> None:
+    if path.exists():
+        print(
+            f"jaxshell: stopped; {path} holds what was computed until then. "
+            f"`jaxshell run {path} --continue` goes on with it.",
+            file=sys.stderr,
+        )
+    else:
+        print("jaxshell: stopped before the first step.", file=sys.stderr)
 
 
 def _outputs(path: Path, options: argparse.Namespace) -> list:

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxshell.files.run_keys import METHOD_KEYS, STEP_KEYS, RunSettings
+from jaxshell.files.run_keys import ANALYSES, KEYS, METHOD_KEYS, STEP_KEYS, RunSettings
+from jaxshell.numerics.nearest import meant
 
 _RESULT_FILES = (".h5", ".hdf5")
 SMALL = 500
@@ -69,8 +70,8 @@ def open_scene(name: str, divisions: Sequence[int] | None = None):
         # Under another name, so that the results that are run again stay.
         return read_scene(path), RunSettings.from_result_file(read_settings(path)), f"{path.stem}_rerun"
     raise ValueError(
-        f"There is no scene {name!r}. Choose out of {', '.join(BY_NAME)}, or name a .toml scene file "
-        "or an .h5 result file."
+        f"There is no scene {name!r}.{meant(name, BY_NAME)} Choose out of {', '.join(BY_NAME)}, or name a .toml scene "
+        "file or an .h5 result file."
     )
 
 
@@ -90,15 +91,31 @@ def _counts(name: str, divisions: Sequence[int]):
 def settled(options: argparse.Namespace, of_file: RunSettings, scene) -> RunSettings:
     """What the command line says, else the file, else the scene; dt, t_end and save_every are said then.
 
-    A method on the command line comes with its own parameters. A dt on the command line takes the place of the step
-    control that a result file's run was made with.
+    A method on the command line comes with its own parameters, and an analysis without the file's keys for another. A
+    dt on the command line takes the place of the step control that a result file's run was made with. Raises ValueError
+    for what is given on the command line and does not fit the analysis.
     """
     given = RunSettings.from_command_line(options)
+    analysis = given.analysis or of_file.analysis or ANALYSES[0]
+    if analysis != (of_file.analysis or ANALYSES[0]):
+        # Times of pictures, and steps between frames, say nothing about load factors.
+        of_file = dataclasses.replace(of_file.fitting(analysis), picture_times=(), save_every=None)
+        if Path(options.scene).suffix in _RESULT_FILES:  # which quote all of the iteration
+            of_file = of_file.without(*(key for key in KEYS if key.startswith("newton_")))
+    dataclasses.replace(given, analysis=analysis).check_analysis()
+    if given.load_steps is not None or given.load_factors is not None:
+        of_file = of_file.without("load_steps", "load_factors")
     if given.method is not None:
         of_file = of_file.without(*METHOD_KEYS)
     if given.dt is not None and given.step_tolerance is None and Path(options.scene).suffix in _RESULT_FILES:
         of_file = of_file.without("step_tolerance", *STEP_KEYS)
-    return RunSettings(save_every=1) | _of_scene(scene) | of_file | given
+    return with_defaults(of_file | given, scene, analysis)
+
+
+def with_defaults(settings: RunSettings, scene, analysis: str) -> RunSettings:
+    """What the settings say, else the scene."""
+    of_scene = _of_scene(scene) if analysis == ANALYSES[0] else RunSettings()
+    return (RunSettings(save_every=1) | of_scene | settings).fitting(analysis)
 
 
 def first_step(options: argparse.Namespace, of_file: RunSettings, scene) -> float:
@@ -116,7 +133,7 @@ def with_picture_times(scene, settings: RunSettings):
 
     if settings.picture_times is None:
         return scene
-    defaults = scene.defaults or Defaults(required(settings, "dt"), required(settings, "t_end"))
+    defaults = scene.defaults or Defaults()
     return dataclasses.replace(scene, defaults=defaults._replace(picture_times=settings.picture_times))
 
 
@@ -139,8 +156,6 @@ def chosen_methods(settings: RunSettings, scene) -> dict[str, Any]:
 def arguments_of_simulate(settings: RunSettings) -> dict[str, Any]:
     """What the settings say besides the method and t_end, as arguments of `simulate`."""
     from jaxshell.analyses.step_control import StepControl
-    from jaxshell.solvers import linear_solver
-    from jaxshell.solvers.newton import Newton
 
     dt: Any = required(settings, "dt")
     stray = [key for key in STEP_KEYS if getattr(settings, key) is not None]
@@ -148,13 +163,19 @@ def arguments_of_simulate(settings: RunSettings) -> dict[str, Any]:
         raise ValueError(f"{stray[0]} is of step control, which step_tolerance switches on.")
     if settings.step_tolerance is not None:
         dt = StepControl(settings.step_tolerance, initial=dt, **_of(settings, "step_", skip="tolerance"))
+    return {"dt": dt, "reactions": bool(settings.reactions), **solvers_of(settings)}
+
+
+def solvers_of(settings: RunSettings, newton=None) -> dict[str, Any]:
+    """What every analysis that goes step by step is solved with; `newton` is the one that settings are changes of."""
+    from jaxshell.solvers import linear_solver
+    from jaxshell.solvers.newton import Newton
+
     solvers = {"pardiso": linear_solver.Pardiso, "klu": linear_solver.KLU, "dense": linear_solver.Dense}
     return {
-        "dt": dt,
         "save_every": settings.save_every,
         "tangent": settings.tangent or "closed_form",
-        "newton": Newton(**_of(settings, "newton_")),
-        "reactions": bool(settings.reactions),
+        "newton": dataclasses.replace(newton or Newton(), **_of(settings, "newton_")),
         "linear_solver": None if settings.linear_solver is None else solvers[settings.linear_solver](),
     }
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from jaxshell.files.quoted import parts
+from jaxshell.numerics.nearest import check_known, meant
 
 _WORDS = {
     "number": "a number",
@@ -25,9 +26,22 @@ _WORDS = {
 _SOLVERS = ("pardiso", "klu", "dense")
 
 
-def _key(kind: str, help: str = "", choices: tuple[str, ...] = (), metavar: str | None = None) -> Any:
+ANALYSES = ("time", "static", "arc-length", "modes", "buckling")
+"""What can be run; where nothing is said, a run in time."""
+_PATHS = ("static", "arc-length")
+_STEPPED = ("time", *_PATHS)
+
+
+def _key(
+    kind: str,
+    help: str = "",
+    choices: tuple[str, ...] = (),
+    metavar: str | None = None,
+    of: tuple[str, ...] = ("time",),
+) -> Any:
+    """A field; `of` are the analyses that the key is for."""
     return dataclasses.field(
-        default=None, metadata={"kind": kind, "help": help, "choices": choices, "metavar": metavar}
+        default=None, metadata={"kind": kind, "help": help, "choices": choices, "metavar": metavar, "of": of}
     )
 
 
@@ -35,6 +49,59 @@ def _key(kind: str, help: str = "", choices: tuple[str, ...] = (), metavar: str 
 class RunSettings:
     """The keys of a run; None is not said, and then the method's, the scene's or jaxshell's default holds."""
 
+    analysis: str | None = _key(
+        "choice",
+        "a run in time, equilibria under growing loads, the path through limit points, natural frequencies, or linear "
+        "buckling (default: time)",
+        ANALYSES,
+        of=ANALYSES,
+    )
+    load_factors: tuple[float, ...] | None = _key(
+        "numbers",
+        "statics: the loads as multiples of the scene's (default: 0.1, 0.2, ..., 1)",
+        metavar="L",
+        of=("static",),
+    )
+    load_steps: int | None = _key(
+        "count",
+        "statics: as many equal load steps to the scene's loads, in place of load factors",
+        metavar="N",
+        of=("static",),
+    )
+    branch: str | None = _key(
+        "choice",
+        "statics: go straight on where the equilibrium becomes unstable, or follow the stable path (default: straight)",
+        ("straight", "follow"),
+        of=("static",),
+    )
+    arc_length: float | None = _key(
+        "number",
+        "arc length: the longest step, as the root mean square of the nodes' displacements (default: chosen)",
+        metavar="S",
+        of=("arc-length",),
+    )
+    max_steps: int | None = _key(
+        "count", "arc length: the largest number of steps (default: 200)", metavar="N", of=("arc-length",)
+    )
+    max_load_factor: float | None = _key(
+        "number",
+        "arc length: the path ends with the first step at or beyond this load factor, in size (default: 1)",
+        metavar="L",
+        of=("arc-length",),
+    )
+    count: int | None = _key(
+        "count", "how many modes (default: 10 frequencies, 5 buckling factors)", metavar="N", of=("modes", "buckling")
+    )
+    rigid_modes: bool | None = _key(
+        "switch", "modes: report motions as a rigid body, of frequency 0 (default: yes)", of=("modes",)
+    )
+    preload: float | None = _key(
+        "number",
+        "modes: vibrate about the equilibrium under this multiple of the scene's loads, with its stresses (default: "
+        "about the state at the start)",
+        metavar="L",
+        of=("modes",),
+    )
     method: tuple[str, ...] | None = _key(
         "names",
         "EMC, EDMC1, EDMC2, exact, a class of jaxshell.methods, or all for the paper's three; several are drawn "
@@ -55,15 +122,21 @@ class RunSettings:
     safety: float | None = _key("number", "fraction of the critical step that central differences may take")
     dt: float | None = _key("number", "time step (default: the scene's)")
     t_end: float | None = _key("number", "duration (default: the scene's)")
-    save_every: int | None = _key("count", "steps between frames (default: the scene's)", metavar="N")
+    save_every: int | None = _key("count", "steps between frames (default: the scene's)", metavar="N", of=_STEPPED)
     reactions: bool | None = _key("switch", "record what the supports carry (default: no)")
-    tangent: str | None = _key("choice", "default: closed_form", ("closed_form", "autodiff"))
-    linear_solver: str | None = _key("choice", "default: the quickest that this machine has", _SOLVERS)
-    newton_tolerance: float | None = _key("number", "default: 1e-8", metavar="TOL")
-    newton_max_iterations: int | None = _key("count", "corrections allowed in a step (default: 25)", metavar="N")
-    newton_max_rotation: float | None = _key("number", "largest rotation of a correction [rad] (default: 0.3)")
-    newton_reuse: bool | None = _key("switch", "keep factors over iterations and steps while they serve (default: yes)")
-    newton_criterion: str | None = _key("choice", "default: predicted", ("predicted", "norm"))
+    tangent: str | None = _key("choice", "default: closed_form", ("closed_form", "autodiff"), of=_STEPPED)
+    linear_solver: str | None = _key("choice", "default: the quickest that this machine has", _SOLVERS, of=_STEPPED)
+    newton_tolerance: float | None = _key("number", "default: 1e-8; in statics 1e-12", metavar="TOL", of=_STEPPED)
+    newton_max_iterations: int | None = _key(
+        "count", "corrections allowed in a step (default: 25)", metavar="N", of=_STEPPED
+    )
+    newton_max_rotation: float | None = _key(
+        "number", "largest rotation of a correction [rad] (default: 0.3)", of=_STEPPED
+    )
+    newton_reuse: bool | None = _key(
+        "switch", "keep factors over iterations and steps while they serve (default: yes, in statics no)", of=_STEPPED
+    )
+    newton_criterion: str | None = _key("choice", "default: predicted", ("predicted", "norm"), of=_STEPPED)
     step_tolerance: float | None = _key(
         "number",
         "choose the steps by their local error, as a fraction of the shell's size; --dt is the first",
@@ -73,7 +146,9 @@ class RunSettings:
     step_largest: float | None = _key("number", "largest step under step control (default: no limit)")
     step_output_interval: float | None = _key("number", "time between frames under step control")
     step_horizon: float | None = _key("number", "until when errors count under step control (default: the end)")
-    picture_times: tuple[float, ...] | None = _key("numbers", "times of the shapes that are drawn", metavar="T")
+    picture_times: tuple[float, ...] | None = _key(
+        "numbers", "times of the shapes that are drawn, or load factors", metavar="T", of=_STEPPED
+    )
 
     @classmethod
     def checked(cls, values: Mapping[str, Any]) -> "RunSettings":
@@ -89,6 +164,20 @@ class RunSettings:
         """The keys that are not None."""
         return {name: getattr(self, name) for name in KEYS if getattr(self, name) is not None}
 
+    def check_analysis(self) -> None:
+        """Raise ValueError naming a key that is not for the analysis."""
+        analysis = self.analysis or ANALYSES[0]
+        for key in self.said():
+            if analysis not in OF[key]:
+                fits = " or ".join(f'"{name}"' for name in OF[key])
+                raise ValueError(f'{key} is for analysis = {fits}, but the analysis is "{analysis}".')
+        if self.load_factors is not None and self.load_steps is not None:
+            raise ValueError("load_factors and load_steps say the same in two ways: give one of them.")
+
+    def fitting(self, analysis: str) -> "RunSettings":
+        """These, without the keys that are not for `analysis`, which is said."""
+        return dataclasses.replace(self.without(*(key for key in KEYS if analysis not in OF[key])), analysis=analysis)
+
     def without(self, *names: str) -> "RunSettings":
         """These, with the given keys not said."""
         return dataclasses.replace(self, **dict.fromkeys(names))
@@ -96,20 +185,21 @@ class RunSettings:
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> "RunSettings":
         """Of a scene file's [run] table. Raises ValueError naming the key that is unknown or of another kind."""
-        for key in table:
-            if key not in KEYS:
-                raise ValueError(f"[run] has the unknown key {key!r}. Known keys: {', '.join(KEYS)}.")
+        check_known("[run]", table, KEYS)
         try:
-            return cls.checked(table)
+            settings = cls.checked(table)
+            settings.check_analysis()
         except ValueError as error:
             raise ValueError(f"[run] {error}") from error
+        return settings
 
     @classmethod
     def from_result_file(cls, settings: Mapping[str, Any]) -> "RunSettings":
-        """Of what a result file says about its run; nothing where it is of statics."""
+        """Of what a result file says about its run; nothing where it is of statics and does not say of which."""
         name, parameters = parts(settings["method"]) if "method" in settings else ("", {})
-        if name == "Static":
-            return cls()
+        analysis = settings.get("analysis", ANALYSES[0])
+        if name == "Static" and analysis == ANALYSES[0]:
+            return cls()  # of an earlier version
         found = {key: settings[key] for key in KEYS if key in settings and key not in ("method", "dt")}
         if found.get("linear_solver") not in _SOLVERS:
             found.pop("linear_solver", None)  # what a saved solution says it was solved with
@@ -124,7 +214,8 @@ class RunSettings:
         unknown = [key for key in found if key not in KEYS]
         if unknown:
             raise ValueError(f"The file's run has {unknown[0]!r}, which this version of jaxshell does not know.")
-        return cls.checked({**found, "dt": dt})
+        found = cls.checked({**found, "dt": dt})
+        return found if analysis == ANALYSES[0] else found.fitting(analysis)
 
     @classmethod
     def from_command_line(cls, options: argparse.Namespace) -> "RunSettings":
@@ -133,6 +224,8 @@ class RunSettings:
 
 
 KEYS = tuple(field.name for field in dataclasses.fields(RunSettings))
+OF: dict[str, tuple[str, ...]] = {field.name: field.metadata["of"] for field in dataclasses.fields(RunSettings)}
+"""The analyses that each key is for."""
 METHOD_KEYS = KEYS[KEYS.index("spectral_radius") : KEYS.index("dt")]
 """Parameters of methods."""
 STEP_KEYS = ("step_smallest", "step_largest", "step_output_interval", "step_horizon")
@@ -161,7 +254,8 @@ def _checked(field: dataclasses.Field, value: Any) -> Any:
     wanted = _WORDS.get(kind) or "one of " + ", ".join(choices)
     found = _CHECKS[kind](value, choices)
     if found is None:
-        raise ValueError(f"{field.name} must be {wanted}, but it is {reprlib.repr(value)}.")
+        near = meant(value, choices)
+        raise ValueError(f"{field.name} must be {wanted}, but it is {reprlib.repr(value)}.{near}")
     return found
 
 

@@ -11,11 +11,13 @@
     [materials.X], laminates, regions, [[thermal]], [[initial_strain]]: see `jaxshell.files.sections`
     [[supports]]   nodes; hold = "clamped", "pinned", "symmetry x" or list; displacement, history
     [[loads]]      kind = "force", "moment", "edge force", "gravity", "pressure" or "normal force"; nodes, edges of an
-                   edge force, elements of a pressure; its force, moment, acceleration, pressure or magnitude; history
+                   edge force (or inner = true for inner edges between the nodes), elements of a pressure; its force,
+                   moment, acceleration, pressure or magnitude; history
     [damping]      alpha, beta, or ratios with modes (counted from 1) or frequencies: see `RayleighDamping`
     [watch]        label = { nearest or node, component }, or of a stress or section force, as "von mises top" or "Mxx",
                    { nearest or element, component }
-    [initial]      velocity, angular_velocity, about: a rigid motion
+    [initial]      velocity, angular_velocity, about: a rigid motion; [[initial]]: of sets of nodes, see
+                   `jaxshell.files.initial`
     [run]          how it is run: the keys of `jaxshell.files.run_keys.RunSettings`, method, dt, t_end, save_every,
                    step_tolerance (step control, started with dt), reactions, ...
 
@@ -32,6 +34,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxshell.files.initial import read_initial
 from jaxshell.files.run_keys import RunSettings
 from jaxshell.files.sections import chosen_kind, read_direction, read_materials, read_section
 from jaxshell.files.selectors import NODE_SELECTORS, chosen_edges, chosen_elements, chosen_nodes
@@ -43,16 +46,17 @@ from jaxshell.model.history import History
 from jaxshell.model.loads import LOADS, InitialStrain, InitialStrains, Load, Thermal
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.mesh_file import is_file
-from jaxshell.model.scene import Defaults, Initial, Scene
+from jaxshell.model.scene import Defaults, Scene
 from jaxshell.model.supports import ALL, Support, symmetry
 from jaxshell.numerics.checks import shown
+from jaxshell.numerics.nearest import meant
 
-_READING = ("quads", "second_order", "merge", "orient", "coincident")
-_LOADS = {load.kind: load for load in LOADS if not issubclass(load, InitialStrains)}
+READING = ("quads", "second_order", "merge", "orient", "coincident")
+LOAD_KINDS = {load.kind: load for load in LOADS if not issubclass(load, InitialStrains)}
 _SYMMETRY = {f"symmetry {normal}": symmetry([0], normal).dofs for normal in "xyz"}
-_KNOWN = ("name", "units", "mesh", "materials", "section", "supports", "loads", "thermal", "initial_strain")
-_KNOWN += ("damping", "watch", "initial", "run")
-_HOLD = {"clamped": ALL, "pinned": ("ux", "uy", "uz"), **_SYMMETRY}
+KNOWN = ("name", "units", "mesh", "materials", "section", "supports", "loads", "thermal", "initial_strain")
+KNOWN += ("damping", "watch", "initial", "run")
+HOLD = {"clamped": ALL, "pinned": ("ux", "uy", "uz"), **_SYMMETRY}
 
 
 def read_scene_file(path) -> tuple[Scene, RunSettings]:
@@ -86,7 +90,7 @@ def scene_of(content: dict, path, mesh: Mesh | None = None) -> tuple[Scene, RunS
 
 def _scene(content: dict, path: Path, mesh: Mesh | None) -> tuple[Scene, RunSettings]:
     top = Table.top(content)
-    top.only(*_KNOWN)
+    top.only(*KNOWN)
     mesh = _mesh(top.table("mesh"), path.parent) if mesh is None else mesh
     run = top.table("run", optional=True)
     settings = RunSettings.from_table(run.content)
@@ -95,7 +99,7 @@ def _scene(content: dict, path: Path, mesh: Mesh | None) -> tuple[Scene, RunSett
         read_section(top, read_materials(top.table("materials", optional=True)), mesh),
         [_support(table, mesh) for table in top.tables("supports")],
         [_load(table, mesh) for table in top.tables("loads")] + _initial_strains(top, mesh),
-        initial=_initial(top.table("initial", optional=True), mesh),
+        initial=read_initial(top, mesh),
         name=top.text("name", path.stem),
         watch=_watch(top.table("watch", optional=True), mesh),
         defaults=_defaults(settings, top.text("units", "")),
@@ -106,10 +110,10 @@ def _scene(content: dict, path: Path, mesh: Mesh | None) -> tuple[Scene, RunSett
 
 
 def _mesh(table: Table, folder: Path) -> Mesh:
-    made = {key: value for key, value in table.content.items() if key not in _SETS}
+    made = {key: value for key, value in table.content.items() if key not in SETS}
     mesh = _plain_mesh(Table(table.name, made), folder)
     given = {}
-    for key, chosen in _SETS.items():
+    for key, chosen in SETS.items():
         if key in table.content:
             inner = table.table(key)
             given[key] = {name: chosen(inner, name, mesh) for name in inner.content}
@@ -128,26 +132,27 @@ def _set_of_sides(table: Table, name: str, mesh: Mesh) -> Any:
     if not isinstance(table.get(name), dict):
         return table.get(name)
     inner = table.table(name)
-    inner.only(*NODE_SELECTORS)
+    inner.only(*NODE_SELECTORS, "inner")
     return chosen_edges(inner, mesh)
 
 
-_SETS = {"node_sets": _set_of_nodes, "element_sets": chosen_elements, "side_sets": _set_of_sides}
+SETS = {"node_sets": _set_of_nodes, "element_sets": chosen_elements, "side_sets": _set_of_sides}
 
 
 def _plain_mesh(table: Table, folder: Path) -> Mesh:
     if "file" in table.content:
-        table.only("file", *_READING, *_SETS)
+        table.only("file", *READING, *SETS)
         file = folder / table.text("file")
         if not is_file(file):
             raise ValueError(f"[mesh] There is no file {shown(str(file))}.")
-        return table.call(Mesh.read, file, **{key: table.get(key) for key in _READING if key in table.content})
+        return table.call(Mesh.read, file, **{key: table.get(key) for key in READING if key in table.content})
     name = table.text("generator")
     if name not in GENERATORS:
-        raise ValueError(f"[mesh] generator must be one of {', '.join(GENERATORS)}, but it is {name!r}.")
+        choices = ", ".join(GENERATORS)
+        raise ValueError(f"[mesh] generator must be one of {choices}, but it is {name!r}.{meant(name, GENERATORS)}")
     generator = GENERATORS[name]
     arguments = inspect.signature(generator).parameters
-    table.only("generator", *arguments, *_SETS)
+    table.only("generator", *arguments, *SETS)
     for argument in arguments.values():
         if argument.default is argument.empty:
             table.get(argument.name)
@@ -158,24 +163,25 @@ def _support(table: Table, mesh: Mesh) -> Support:
     table.only(*NODE_SELECTORS, "hold", "displacement", "history")
     hold = table.get("hold")
     if isinstance(hold, str):
-        if hold not in _HOLD:
-            choices = ", ".join(repr(name) for name in _HOLD)
+        if hold not in HOLD:
+            choices = ", ".join(repr(name) for name in HOLD)
             raise ValueError(
                 f"{table.name} hold must be one of {choices} or a list of degrees of freedom, but it is {shown(hold)}."
+                f"{meant(hold, HOLD)}"
             )
-        hold = _HOLD[hold]
+        hold = HOLD[hold]
     displacement = table.content.get("displacement")
     return table.call(Support, chosen_nodes(table, mesh), hold, displacement, _history(table))
 
 
 def _load(table: Table, mesh: Mesh) -> Load:
-    load = _LOADS[chosen_kind(table, _LOADS)]
+    load = LOAD_KINDS[chosen_kind(table, LOAD_KINDS)]
     if load.acts_on == "shell":
         table.only("kind", load.value, "history", *load.sets)
         chosen = {key: chosen_elements(table, key, mesh) for key in load.sets if key in table.content}
         return table.call(load, table.get(load.value), _history(table), **chosen)
     on_edges = load.acts_on == "edges"
-    table.only("kind", *NODE_SELECTORS, *(["edges"] if on_edges else []), load.value, "history")
+    table.only("kind", *NODE_SELECTORS, *(["edges", "inner"] if on_edges else []), load.value, "history")
     where = chosen_edges(table, mesh) if on_edges else chosen_nodes(table, mesh)
     return table.call(load, where, table.get(load.value), _history(table))
 
@@ -223,13 +229,6 @@ def _watch(table: Table, mesh: Mesh) -> dict[str, tuple[int | str, str]]:
     return found
 
 
-def _initial(table: Table, mesh: Mesh) -> Initial | None:
-    table.only("velocity", "angular_velocity", "about")
-    if not table.content:
-        return None
-    return table.call(Initial.rigid, mesh, **{name: table.vectors(name, (3,)) for name in table.content})
-
-
 def _damping(table: Table, scene: Scene) -> RayleighDamping:
     given = table.content
     if "ratios" not in given:
@@ -246,7 +245,7 @@ def _damping(table: Table, scene: Scene) -> RayleighDamping:
 def _defaults(run: RunSettings, units: str) -> Defaults | None:
     if units not in ("", "SI"):
         raise ValueError(f'units must be "SI" or left out, but it is {units!r}.')
-    if run.dt is None or run.t_end is None:
+    if not units and run.picture_times is None and (run.dt is None or run.t_end is None):
         return None
     times = tuple(float(t) for t in run.picture_times or ())
     return Defaults(run.dt, run.t_end, run.save_every or 1, times, units=units)

@@ -24,9 +24,10 @@ from jaxshell.model.materials import MATERIALS, Isotropic, Material, Orthotropic
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sections import SECTIONS, AnySection, Cylindrical, Laminate, Ply, Regions, Section
 from jaxshell.numerics.checks import shown
+from jaxshell.numerics.nearest import meant
 
-_MATERIALS = {material.kind: material for material in MATERIALS}
-_SECTIONS = {section.kind: section for section in SECTIONS if section is not Regions}
+MATERIAL_KINDS = {material.kind: material for material in MATERIALS}
+SECTION_KINDS = {section.kind: section for section in SECTIONS if section is not Regions}
 _OTHERS = "others"
 
 
@@ -36,7 +37,7 @@ def read_materials(table: Table) -> dict[str, Material]:
     for name in table.content:
         inner = Table(f"[materials.{name}]", table.content[name])
         default = Orthotropic.kind if "young_modulus_1" in inner.content else Isotropic.kind
-        found[name] = inner.fields(_MATERIALS[chosen_kind(inner, _MATERIALS, default)], "kind")
+        found[name] = inner.fields(MATERIAL_KINDS[chosen_kind(inner, MATERIAL_KINDS, default)], "kind")
     return found
 
 
@@ -67,18 +68,19 @@ def chosen_kind(table: Table, kinds: dict[str, Any], default: str | None = None)
     """The table's `kind`, one of the names of `kinds`."""
     name = table.text("kind", default)
     if name not in kinds:
-        raise ValueError(f"{table.name} kind must be one of {', '.join(map(repr, kinds))}, but it is {name!r}.")
+        choices = ", ".join(map(repr, kinds))
+        raise ValueError(f"{table.name} kind must be one of {choices}, but it is {name!r}.{meant(name, kinds)}")
     return name
 
 
 def _section(table: Table, materials: dict[str, Material]) -> AnySection:
-    kind = _SECTIONS[chosen_kind(table, _SECTIONS, Section.kind)]
+    kind = SECTION_KINDS[chosen_kind(table, SECTION_KINDS, Section.kind)]
 
     def material(table: Table, key: str) -> Material:
         name = table.text(key)
         if name not in materials:
             known = f"those of the file are {', '.join(map(repr, materials))}" if materials else "the file has none"
-            raise ValueError(f"{table.name} There is no material {shown(name)}: {known}.")
+            raise ValueError(f"{table.name} There is no material {shown(name)}: {known}.{meant(name, materials)}")
         return materials[name]
 
     def plies(table: Table, key: str) -> list[Ply]:

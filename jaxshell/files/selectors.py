@@ -62,16 +62,24 @@ def chosen_elements(table: Table, key: str, mesh: Mesh) -> np.ndarray:
 
 
 def chosen_edges(table: Table, mesh: Mesh) -> Any:
-    """(k, 2) edges by the name of a set of sides, as pairs of nodes, or those of the boundary between chosen nodes."""
+    """(k, 2) edges by the name of a set of sides, as pairs of nodes, or those of the boundary between chosen nodes.
+
+    With `inner = true` those between chosen nodes that triangles share.
+    """
     if "edges" in table.content:
-        if stray := [name for name in NODE_SELECTORS if name in table.content]:
+        if stray := [name for name in (*NODE_SELECTORS, "inner") if name in table.content]:
             raise ValueError(f"{table.name} chooses edges by edges or by {stray[0]}, not by both.")
         edges = table.get("edges")
         return table.call(mesh.side_set, edges) if isinstance(edges, str) else edges
-    nodes, edges = chosen_nodes(table, mesh), mesh.boundary_edges()
+    inner = table.content.get("inner", False)
+    if not isinstance(inner, bool):
+        raise ValueError(f"{table.name} inner must be true or false, but it is {shown(inner)}.")
+    nodes, edges = chosen_nodes(table, mesh), mesh.inner_edges() if inner else mesh.boundary_edges()
     edges = edges[np.isin(edges, nodes).all(axis=1)]
     if not len(edges):
-        raise ValueError(f"{table.name} No edge of the mesh's boundary has both its ends among the chosen nodes.")
+        which = "inner edge of the mesh" if inner else "edge of the mesh's boundary"
+        cure = "" if inner else " (inner = true looks for edges that two triangles share)"
+        raise ValueError(f"{table.name} No {which} has both its ends among the chosen nodes{cure}.")
     return edges
 
 

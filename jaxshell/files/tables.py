@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxshell.numerics.checks import check_finite, float_array, shown
+from jaxshell.numerics.nearest import check_known
 
 _TOP = "the file"
 
@@ -26,9 +27,7 @@ class Table:
 
     def only(self, *known: str) -> None:
         """Raise ValueError for a key that is not one of `known`."""
-        for key in self.content:
-            if key not in known:
-                raise ValueError(f"{self.name} has the unknown key {key!r}. Known keys: {', '.join(known)}.")
+        check_known(self.name, self.content, known)
 
     def get(self, key: str) -> Any:
         if key not in self.content:

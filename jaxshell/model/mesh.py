@@ -225,6 +225,11 @@ class Mesh(eqx.Module):
         alone = np.sort(repair.edges_of(self.triangles)[count[number] == 1], axis=1)
         return alone[np.lexsort(alone.T[::-1])]
 
+    def inner_edges(self) -> np.ndarray:
+        """(k, 2) node indices of the edges that triangles share."""
+        number, count, _ = repair.numbered_edges(self.triangles)
+        return np.unique(np.sort(repair.edges_of(self.triangles)[count[number] > 1], axis=1), axis=0)
+
     @classmethod
     def read(
         cls,

@@ -86,10 +86,11 @@ class Initial(eqx.Module):
 
 
 class Defaults(NamedTuple):
-    """How a scene of the library is usually run and shown; the command line starts from it."""
+    """How a scene is usually run and shown; the command line starts from it."""
 
-    dt: float
-    t_end: float
+    dt: float | None = None
+    """None where the scene says none, as one that is not run in time."""
+    t_end: float | None = None
     save_every: int = 1
     picture_times: tuple[float, ...] = ()
     methods: tuple[tuple[str, float, float], ...] = (("EMC", 1.0, 0.0),)
@@ -302,8 +303,9 @@ def _check_defaults(defaults) -> None:
     if defaults is None:
         return
     check_kind("defaults", defaults, Defaults, "a jaxshell.Defaults or None")
-    check_positive_number("dt", defaults.dt)
-    check_positive_number("t_end", defaults.t_end)
+    for name in ("dt", "t_end"):
+        if getattr(defaults, name) is not None:
+            check_positive_number(name, getattr(defaults, name))
     check_count("save_every", defaults.save_every)
     check_choice("units", defaults.units, ("", "SI"))
     for name in ("picture_times", "methods", "axes"):

@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxshell.numerics.checks import node_indices, shown, whole_array
 from jaxshell.numerics.frozen import Frozen
+from jaxshell.numerics.nearest import meant
 
 
 class Sets(Mapping):
@@ -62,7 +63,7 @@ class Sets(Mapping):
         """A set by its name. Raises ValueError that lists those that there are."""
         if name not in self._sets:
             known = f"those of the mesh are {', '.join(map(repr, self))}" if self else "the mesh has none"
-            raise ValueError(f"There is no set of {self.what}s {shown(name)}: {known}.")
+            raise ValueError(f"There is no set of {self.what}s {shown(name)}: {known}.{meant(name, self)}")
         return self[name]
 
 

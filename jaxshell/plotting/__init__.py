@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from jaxshell.plotting import rendering
 from jaxshell.plotting.histories import energy_figure, momentum_figure, watched_figure
 from jaxshell.plotting.movie import animate
+from jaxshell.plotting.paths import path_figure
 from jaxshell.plotting.scene import scene_figure
 from jaxshell.plotting.shapes import shapes_figure
 from jaxshell.plotting.style import STYLE
@@ -24,7 +25,7 @@ def figures(
     solutions: Mapping[str, Solution] | Solution, contours: Sequence[str] = (), renderer: str = "auto"
 ) -> dict[str, Figure]:
     """The pictures that `plot` writes, by what they show: shapes, displacement, velocity, stress, membrane_force,
-    moment, energy, momentum, and one for each of `contours`.
+    moment, energy, momentum, and one for each of `contours`; of statics shapes, path and contours.
 
     Shapes are of the first solution. What the solutions do not hold is left out: velocity without a watched
     velocity, histories of a run that failed in its first step, momentum of a shell that supports hold.
@@ -46,7 +47,9 @@ def figures(
         if len(first.frame_times):
             drawn["shapes"] = shapes_figure(first, name, renderer=painter)
             drawn |= {text.replace(" ", "_"): shapes_figure(first, name, text, painter) for text in contours}
-        if moving:
+        if moving and first.analysis == "static":
+            drawn["path"] = path_figure(moving)
+        elif moving:
             drawn["displacement"] = watched_figure(moving, "u")
             drawn["velocity"] = watched_figure(moving, "v")
             for what, kind in (("stress", "stress"), ("membrane_force", "N"), ("moment", "M")):

@@ -3,11 +3,8 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import matplotlib
 import numpy as np
-from jaxtyping import Array, Float
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
@@ -15,19 +12,18 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from jaxshell.model.contribution import Contribution, Place, Surface
+from jaxshell.model.contribution import Contribution
 from jaxshell.model.loads import Load
 from jaxshell.model.loads.base import DeadLoad
 from jaxshell.model.scene import Scene
 from jaxshell.model.sections import Regions
 from jaxshell.model.supports import ALL, Support, pinned, symmetry
 from jaxshell.numerics.checks import check_kind
-from jaxshell.numerics.compiled import compiled
-from jaxshell.numerics.triangles import local_frame
 from jaxshell.plotting.panels import frame, scale_bar, triad
 from jaxshell.plotting.projection import View, Window, chosen_view, window_of
 from jaxshell.plotting.rendering import Sheet, renderer
 from jaxshell.plotting.style import BLACK, COLOURS, GREEN, ORANGE, PURPLE, STYLE, VERMILLION, WIDTH, length_unit, plain
+from jaxshell.results.nodal_loads import nodal_loads
 
 _MOST_ARROWS, _MOST_SYMBOLS = 60, 400
 _LONGEST = 0.16
@@ -57,8 +53,10 @@ def scene_figure(scene: Scene, *, renderer_name: str = "auto") -> Figure:
     check_kind("scene", scene, Scene, "a jaxshell.Scene")
     nodes, triangles = np.asarray(scene.mesh.nodes), scene.mesh.triangles
     view = chosen_view([nodes], triangles)
-    loads = zip(_acting(scene), _nodal_loads(scene), strict=True)
-    arrows = [found for load, nodal in loads for found in _arrows(load, nodes, np.asarray(nodal))]
+    arrows = []
+    for load, nodal in nodal_loads(scene):
+        factors = np.asarray(load.history.values)
+        arrows += _arrows(load, nodes, factors[np.argmax(np.abs(factors))] * np.asarray(nodal))
     size = float(window_of([view.project(nodes)]).size.max())
     tails = [_tails(view, size, each) for each in arrows]
     window = window_of([view.project(nodes), *(tail for tail in tails if len(tail))], margin=0.06)
@@ -172,37 +170,6 @@ def _arrows(load: Load, nodes: np.ndarray, nodal: np.ndarray) -> list[_Arrows]:
         kind = f"moment of {load.kind}" if turns and load.kind != "moment" else load.kind
         found.append(_Arrows(f"{kind}: {_count(len(loaded), 'node')}", nodes[kept], vectors[kept], turns))
     return found
-
-
-@compiled
-def _nodal_loads(scene: Scene) -> list[Float[Array, "n 6"]]:
-    """Forces and moments of each load that has any on all nodes, when its history is largest."""
-    x0, triangles = scene.mesh.nodes, scene.mesh.triangles
-    frames, plane = jax.vmap(local_frame)(x0[triangles])
-    area = 0.5 * plane[:, 0] * plane[:, 2]
-    surface = Surface(x0, triangles, scene.section.area_masses(scene.mesh), area, frames[:, 2])
-    found = []
-    for load in _acting(scene):
-        largest = jnp.argmax(jnp.abs(load.history.values))
-        if isinstance(load, DeadLoad):
-            full = load.nodal(x0, triangles, surface.mass_per_area)
-            found.append(load.history.values[largest] * full)
-        elif isinstance(load, Contribution):
-            found.append(_of_contribution(load, surface, load.history.times[largest]))
-    return found
-
-
-def _acting(scene: Scene) -> list[Load]:
-    """The loads that are forces."""
-    return [load for load in scene.loads if isinstance(load, DeadLoad | Contribution)]
-
-
-def _of_contribution(load: Contribution, surface: Surface, time) -> Float[Array, "n 6"]:
-    """Force and moment of a contribution on the shell before it moves."""
-    groups = load.groups(surface.triangles).array
-    R = jnp.broadcast_to(jnp.eye(3), (*groups.shape, 3, 3))
-    forces = jax.vmap(lambda data, x, R: load.force(data, Place(x, R, time)))(load.data(surface), surface.x0[groups], R)
-    return jnp.zeros((len(surface.x0), 6)).at[groups.ravel()].add(forces.reshape(-1, 6))
 
 
 def _tails(view: View, size: float, arrows: _Arrows) -> np.ndarray:

@@ -34,8 +34,9 @@ def shapes_figure(
     projected = [view.project(sheet.points) for sheet in sheets]
     flies = _flies(np.asarray(scene.mesh.nodes), displacements)
     window = window_of(projected, 0.09 if flies else 0.04)
-    seconds, time_unit = scaled(scene, float(run.frame_times[-1]), "s")
-    labels = [f"{'λ' if run.analysis == 'static' else 't'} = {t / seconds:.4g}{time_unit[3:]}" for t in times]
+    static = run.analysis == "static"
+    seconds, time_unit = (1.0, "") if static else scaled(scene, float(run.frame_times[-1]), "s")
+    labels = [f"{'λ' if static else 't'} = {t / seconds:.4g}{time_unit[3:]}" for t in times]
     rows, columns, height = (1, 1, 4.6) if flies else _grid(len(times), window.size[1] / window.size[0])
 
     figure = Figure(figsize=(WIDTH, height), layout="constrained")

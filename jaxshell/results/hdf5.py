@@ -22,7 +22,6 @@ checksum (`jaxshell.results.checked`). Schema 1, of version 0.1, is read too.
 
 import contextlib
 import dataclasses
-import json
 import time
 import uuid
 from pathlib import Path
@@ -49,15 +48,13 @@ from jaxshell.results.checked import (
 )
 from jaxshell.results.claim import Claim
 from jaxshell.results.frames import StoredFrames
+from jaxshell.results.head import RUN, check_schema, json_table, read_settings_of, write_head
 from jaxshell.results.output import Output
 from jaxshell.results.quaternions import matrices_to_quaternions
 from jaxshell.results.restart import named, time_of
 from jaxshell.results.solution import RESULTS, Energy, Momentum, Solution, Stats
-from jaxshell.results.tree import read_scene_of, to_json, tuples, write_scene
-from jaxshell.version import version
+from jaxshell.results.tree import read_scene_of, to_json, tuples
 
-FORMAT, SCHEMA = "jaxshell", 2
-_READ = (1, 2)
 _ENERGY = tuple(field.name for field in dataclasses.fields(Energy))
 _MOMENTUM = tuple(field.name for field in dataclasses.fields(Momentum))
 _INTERRUPTED = "The run was stopped before its end: the file holds the {steps} steps up to time {time:.6g}."
@@ -98,11 +95,7 @@ class ResultWriter(Output):
         self._run = uuid.uuid4().hex
         with held():
             self._file = checked.create(self._claim.file)
-            for name, text in {"format": FORMAT, "jaxshell": version(), "run": self._run}.items():
-                write_attribute(self._file, name, text)
-            self._file.attrs["schema"] = SCHEMA
-            write_text(self._file, "settings", to_json(settings))
-            write_scene(self._file.create_group("scene"), scene)
+            write_head(self._file, self._run, scene, settings)
             self._make_datasets(scene, settings)
 
     def _make_datasets(self, scene: Scene, settings: dict) -> None:
@@ -252,7 +245,7 @@ def load_solution(path) -> Solution:
     """
     require_float64()
     with reading(path) as file:
-        _check_schema(file, path)
+        check_schema(file, path, RUN)
         scene = read_scene_of(file, path)
         return _solution(file, scene, path)
 
@@ -272,7 +265,7 @@ def _solution(file, scene: Scene, path) -> Solution:
         raise RuntimeError("it holds no step, not even the start")
     _check_frames(frames, scene.mesh.n_nodes)
     ended = "result" in file.attrs
-    stats = Stats(tuples(_json_table(read_text(file, "stats" if has(file, "stats") else "settings"))))
+    stats = Stats(tuples(json_table(read_text(file, "stats" if has(file, "stats") else "settings"))))
     times = jnp.asarray(single["times"][:k])
     result = read_text(file, "result") if ended else "interrupted"
     if result not in result_names():
@@ -308,22 +301,22 @@ def read_scene(path) -> Scene:
     """The scene of a result file, ready to run again. Raises as `load_solution`."""
     require_float64()
     with reading(path) as file:
-        _check_schema(file, path)
+        check_schema(file, path)
         return read_scene_of(file, path)
 
 
 def read_settings(path) -> dict:
     """How the run of a result file was asked for: its writer's `settings`. Raises as `load_solution`."""
     with reading(path) as file:
-        _check_schema(file, path)
-        return _json_table(read_text(file, "settings"))
+        check_schema(file, path)
+        return read_settings_of(file)
 
 
 def holds_unfinished_run(path) -> bool | None:
     """Whether the file holds steps of a run that has not ended; None where it is no result file that can be read."""
     try:
         with reading(path) as file:
-            _check_schema(file, path)
+            check_schema(file, path)
             return "result" not in file.attrs and len(file["histories/times"]) > 1
     except (ValueError, OSError):
         return None
@@ -340,26 +333,7 @@ def result_name(result) -> str:
     return next(name for name in result_names() if bool(getattr(RESULTS, name) == result))
 
 
-def _check_schema(file, path) -> None:
-    kind = read_text(file, "format") if "format" in file.attrs else None
-    schema = file.attrs.get("schema")
-    if kind != FORMAT:
-        raise ValueError(f"{path} is an HDF5 file, but not one that jaxshell wrote.")
-    if schema not in _READ:
-        raise ValueError(
-            f"{path} has schema {schema}, and this version of jaxshell reads schemas {_READ[0]} to {_READ[-1]}. "
-            "Use the version that wrote it, or run the scene again."
-        )
-
-
 def _check_frames(frames, n: int) -> None:
     for name, width in (("displacements", 3), ("rotations", 4), ("velocities", 3)):
         if frames[name].shape[1:] != (n, width):
             raise RuntimeError(f"frames/{name} has shape {frames[name].shape} for {n} nodes")
-
-
-def _json_table(text: str) -> dict:
-    table = json.loads(text)
-    if not isinstance(table, dict):
-        raise RuntimeError(f"its settings are {text[:40]!r}")
-    return table

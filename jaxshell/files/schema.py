@@ -1,0 +1,224 @@
+"""The JSON schema of scene files, from the tables that read them: what editors complete and check them by.
+
+It says which keys there are and of which kind their values are; that numbers fit each other is for `jaxshell check`.
+"""
+
+import dataclasses
+import inspect
+import json
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from jaxshell.files.initial import MOTION
+from jaxshell.files.run_keys import ANALYSES, OF, RunSettings
+from jaxshell.files.scene_file import HOLD, LOAD_KINDS, READING, SETS
+from jaxshell.files.sections import MATERIAL_KINDS, SECTION_KINDS
+from jaxshell.model.damping import RayleighDamping
+from jaxshell.model.generators import GENERATORS
+from jaxshell.model.loads import InitialStrain, Thermal
+from jaxshell.model.sections import Laminate, Ply
+from jaxshell.model.supports import DOFS
+
+Schema = dict[str, Any]
+
+NUMBER, COUNT, TEXT, SWITCH = (
+    {"type": "number"},
+    {"type": "integer", "minimum": 0},
+    {"type": "string"},
+    {"type": "boolean"},
+)
+NUMBERS = {"type": "array", "items": NUMBER}
+ARRAYS = {"type": "array"}
+"""Of numbers, of any depth."""
+VECTOR = {"type": "array", "items": NUMBER, "minItems": 3, "maxItems": 3}
+
+
+def _any(*schemas: Schema, **more) -> Schema:
+    return {"anyOf": list(schemas), **more}
+
+
+def _table(properties: Schema, required: Iterable[str] = (), **more) -> Schema:
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": list(required),
+        "additionalProperties": False,
+        **more,
+    }
+
+
+def _list(items: Schema) -> Schema:
+    return {"type": "array", "items": items}
+
+
+def _said(schema: Schema, text: str) -> Schema:
+    return {**schema, "description": text}
+
+
+_ONE_OR_EACH = _any(NUMBER, NUMBERS)
+_PLACES = {
+    "plane": _said(_table(dict.fromkeys("xyz", NUMBER)), "a plane of coordinates, such as { x = 0.0 }"),
+    "box": _said(
+        {**_list(VECTOR), "minItems": 2, "maxItems": 2}, "the corners [[low], [high]] of a box along the axes"
+    ),
+}
+_NODES = {
+    "nodes": _said(_any(TEXT, COUNT, _list(COUNT)), "the name of a set of nodes, or numbers"),
+    "nearest": _said(VECTOR, "the node nearest to this point"),
+    **_PLACES,
+    "boundary": _said({"const": True}, "the nodes of the mesh's boundary"),
+}
+_PAIRS = _list({**_list(COUNT), "minItems": 2, "maxItems": 2})
+_EDGES = {
+    "edges": _said(_any(TEXT, _PAIRS), "the name of a set of sides, or pairs of nodes"),
+    "inner": _said(SWITCH, "inner edges between the chosen nodes, in place of those of the boundary"),
+}
+_ELEMENTS = _said(_any(TEXT, COUNT, _list(COUNT), _table(_PLACES)), "a set's name, numbers, or the centroids' place")
+_HISTORY = _said(
+    _any(_table({"ramp": NUMBER}, ["ramp"]), _table({"times": NUMBERS, "values": NUMBERS}, ["times", "values"])),
+    "how it varies in time, as a factor",
+)
+_DIRECTION = _any(
+    VECTOR,
+    _list(VECTOR),
+    _table({"axis": VECTOR, "origin": VECTOR, "along": {"enum": ["axis", "circumference"]}}, ["axis"]),
+)
+_KNOWN: dict[str, Schema] = {
+    "divisions": _any({"type": "integer"}, _list({"type": "integer"})),
+    "elements": _ELEMENTS,
+    "history": _HISTORY,
+    "direction": _DIRECTION,
+    "material": _said(TEXT, "the name of one of [materials]"),
+    "layup": _said(TEXT, 'such as "[45/-45/0/90]s"'),
+    "symmetric": SWITCH,
+    **dict.fromkeys(("A", "B", "D", "thermal", "strain", "curvature"), ARRAYS),
+}
+"""Arguments that are more than a number, or one for each element."""
+
+
+def schema() -> Schema:
+    """The schema, as a table."""
+    top = {
+        "name": _said(TEXT, "for files and pictures; default: the file's name"),
+        "units": _said({"enum": ["", "SI"]}, "SI puts units on the pictures' axes"),
+        "mesh": _mesh(),
+        "materials": {"type": "object", "additionalProperties": _any(*map(_material, MATERIAL_KINDS.values()))},
+        "section": _any(_section(False), _list(_section(True))),
+        "supports": _list(_support()),
+        "loads": _list(_any(*map(_load, LOAD_KINDS.values()))),
+        "thermal": _list(_arguments(Thermal)),
+        "initial_strain": _list(_arguments(InitialStrain)),
+        "damping": _damping(),
+        "watch": {"type": "object", "additionalProperties": _watch()},
+        "initial": _any(_initial(), _list(_initial())),
+        "run": _run(),
+    }
+    head = {"$schema": "http://json-schema.org/draft-07/schema#", "title": "A scene of jaxshell"}
+    return head | _table(top, ["mesh", "section"])
+
+
+def schema_text() -> str:
+    """As a file."""
+    return json.dumps(schema(), indent=1, ensure_ascii=False) + "\n"
+
+
+def _arguments(make: Callable, **more: Schema) -> Schema:
+    """The keys of a table whose keys are the arguments of `make`."""
+    properties, required = dict(more), []
+    for parameter in inspect.signature(make).parameters.values():
+        properties[parameter.name] = _KNOWN.get(parameter.name, _ONE_OR_EACH)
+        if parameter.default is parameter.empty:
+            required.append(parameter.name)
+    return _table(properties, required)
+
+
+def _mesh() -> Schema:
+    of_nodes, of_sides = _table(_NODES), _table(_NODES | {"inner": _EDGES["inner"]})
+    kinds = {
+        "node_sets": _any(COUNT, _list(COUNT), of_nodes),
+        "element_sets": _ELEMENTS,
+        "side_sets": _any(_PAIRS, of_sides),
+    }
+    sets = {key: {"type": "object", "additionalProperties": kinds[key]} for key in SETS}
+    halves = {"enum": ["split", "error"]}
+    reading = {"quads": halves, "second_order": halves, "merge": NUMBER, "orient": SWITCH}
+    reading["coincident"] = {"enum": ["error", "allow"]}
+    variants = [_table({"file": TEXT, **{key: reading[key] for key in READING}, **sets}, ["file"])]
+    for name, generator in GENERATORS.items():
+        made = _arguments(generator, generator={"const": name}, **sets)
+        made["required"].insert(0, "generator")
+        variants.append(made)
+    return _said(_any(*variants), "a generator with its arguments, or a mesh file")
+
+
+def _material(kind: Any) -> Schema:
+    return _arguments(kind, kind={"const": kind.kind})
+
+
+def _section(with_elements: bool) -> Schema:
+    """One section, or one of several, which says its elements."""
+    more: Schema = {"elements": _ELEMENTS} if with_elements else {}
+    variants = []
+    for name, kind in SECTION_KINDS.items():
+        makers = [Laminate.from_layup, Laminate] if kind is Laminate else [kind]
+        for make in makers:
+            found = _arguments(make, kind={"const": name}, **more)
+            if "plies" in found["properties"]:
+                found["properties"]["plies"] = _list(_arguments(Ply))
+            found["required"] += ["elements"] * with_elements + ["kind"] * (name != "isotropic")
+            variants.append(found)
+    return _any(*variants)
+
+
+def _support() -> Schema:
+    hold = _any({"enum": list(HOLD)}, _list({"enum": list(DOFS)}))
+    displacement = _said(ARRAYS, "moves the degrees of freedom of the list, times the history; ux, uy, uz only")
+    return _table({**_NODES, "hold": hold, "displacement": _any(NUMBER, displacement), "history": _HISTORY}, ["hold"])
+
+
+def _load(load: Any) -> Schema:
+    chosen = {"nodes": _NODES, "edges": _NODES | _EDGES, "shell": {"elements": _ELEMENTS} if load.sets else {}}
+    value = _any(NUMBER, ARRAYS)
+    properties = {"kind": {"const": load.kind}, **chosen[load.acts_on], load.value: value, "history": _HISTORY}
+    return _table(properties, ["kind", load.value])
+
+
+def _damping() -> Schema:
+    modes, numbers = _any(COUNT, _list(COUNT)), _any(NUMBER, NUMBERS)
+    return _any(
+        _arguments(RayleighDamping),
+        _table({"ratios": numbers, "modes": modes, "frequencies": numbers}, ["ratios"]),
+    )
+
+
+def _watch() -> Schema:
+    component = _said(TEXT, 'ux, uy, uz, vx, vy, vz of a node; "von mises top", "sxx bottom", "Mxx" of an element')
+    of = {"nearest": VECTOR, "node": _any(COUNT, TEXT), "element": _any(COUNT, TEXT)}
+    return _table({**of, "component": component}, ["component"])
+
+
+def _initial() -> Schema:
+    return _table({**dict.fromkeys(MOTION, VECTOR), **_NODES})
+
+
+def _run() -> Schema:
+    """The keys of the run, and which of them an analysis has."""
+    kinds = {
+        "number": NUMBER,
+        "count": {"type": "integer", "minimum": 1},
+        "switch": SWITCH,
+        "names": _any(TEXT, _list(TEXT)),
+        "numbers": NUMBERS,
+    }
+    properties = {}
+    for field in dataclasses.fields(RunSettings):
+        kind, choices = field.metadata["kind"], list(field.metadata["choices"])
+        found = kinds.get(kind, {"enum": choices})
+        properties[field.name] = _said(found, field.metadata["help"]) if field.metadata["help"] else found
+    rules = []
+    for analysis in ANALYSES:
+        said = {"properties": {"analysis": {"const": analysis}}}
+        if analysis != ANALYSES[0]:
+            said["required"] = ["analysis"]  # pyright: ignore[reportArgumentType]
+        rules.append({"if": said, "then": {"propertyNames": {"enum": [key for key in OF if analysis in OF[key]]}}})
+    return _table(properties, allOf=rules)
