@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from jaxshell.analyses.simulation import simulate
     from jaxshell.analyses.statics import reactions, solve_static
     from jaxshell.analyses.step_control import StepControl
+    from jaxshell.files.models import read_model
     from jaxshell.gradients import Checkpointed, Stored
     from jaxshell.methods import (
         HHT,
@@ -125,6 +126,7 @@ __all__ = [
     "plotting",
     "principal",
     "reactions",
+    "read_model",
     "scenes",
     "section_forces",
     "section_forces_of",
@@ -161,6 +163,7 @@ _HOMES = {
     ],
     "model.materials": ["Isotropic", "Orthotropic"],
     "model.mesh": ["Mesh", "structured_triangles"],
+    "files.models": ["read_model"],
     "gradients": ["gradients", "Checkpointed", "Stored"],
     "methods": [
         "methods",

@@ -10,10 +10,10 @@ import os
 import sys
 from collections.abc import Sequence
 
-from jaxshell.command import advise, chart, plot, run, scenes
+from jaxshell.command import advise, chart, import_model, plot, run, scenes
 from jaxshell.numerics.signals import LostOutput, exit_status, raising
 
-COMMANDS = (run, plot, chart, advise, scenes)
+COMMANDS = (import_model, run, plot, chart, advise, scenes)
 """In the order of `jaxshell --help`. Each has `add(commands)`, which adds its parser and names its function."""
 
 

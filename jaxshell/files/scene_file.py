@@ -75,10 +75,18 @@ def read_scene_file(path) -> tuple[Scene, RunSettings]:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _scene(content: dict, path: Path) -> tuple[Scene, RunSettings]:
+def scene_of_tables(content: dict, mesh: Mesh, path: Path) -> Scene:
+    """The scene of a file's tables but [mesh], in place of which is `mesh`. Raises ValueError as `read_scene_file`."""
+    try:
+        return _scene(content, path, mesh)[0]
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _scene(content: dict, path: Path, mesh: Mesh | None = None) -> tuple[Scene, RunSettings]:
     top = Table.top(content)
     top.only(*_KNOWN)
-    mesh = _mesh(top.table("mesh"), path.parent)
+    mesh = _mesh(top.table("mesh"), path.parent) if mesh is None else mesh
     run = top.table("run", optional=True)
     settings = RunSettings.from_table(run.content)
     scene = Scene(
