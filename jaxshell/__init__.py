@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from jaxshell.analyses.statics import reactions, solve_static
     from jaxshell.analyses.step_control import StepControl
     from jaxshell.analyses.sweep.run import sweep
+    from jaxshell.files.models import read_model
     from jaxshell.gradients import Checkpointed, Stored
     from jaxshell.methods import (
         HHT,
@@ -130,6 +131,7 @@ __all__ = [
     "plotting",
     "principal",
     "reactions",
+    "read_model",
     "scenes",
     "section_forces",
     "section_forces_of",
@@ -167,6 +169,7 @@ _HOMES = {
     ],
     "model.materials": ["Isotropic", "Orthotropic"],
     "model.mesh": ["Mesh", "structured_triangles"],
+    "files.models": ["read_model"],
     "gradients": ["gradients", "Checkpointed", "Stored"],
     "methods": [
         "methods",

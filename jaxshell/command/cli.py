@@ -17,6 +17,7 @@ from jaxshell.command import (
     check,
     completion,
     export,
+    import_model,
     init,
     plot,
     run,
@@ -27,7 +28,22 @@ from jaxshell.command import (
 )
 from jaxshell.numerics.signals import LostOutput, exit_status, raising
 
-COMMANDS = (init, check, run, sweep, plot, animate, view, export, chart, advise, scenes, schema, completion)
+COMMANDS = (
+    init,
+    import_model,
+    check,
+    run,
+    sweep,
+    plot,
+    animate,
+    view,
+    export,
+    chart,
+    advise,
+    scenes,
+    schema,
+    completion,
+)
 """In the order of `jaxshell --help`. Each has `add(commands)`, which adds its parser and names its function."""
 
 

@@ -70,6 +70,14 @@ class Card:
             raise ValueError(f"{self.where}: {self.title} needs {name}=.")
         return self.options[name]
 
+    def value(self, name: str, default: float = 0.0) -> float:
+        """The value of an option as a number. Raises ValueError for anything else."""
+        text = self.options.get(name, "")
+        try:
+            return float(text.lower().replace("d", "e")) if text else default
+        except ValueError:
+            raise ValueError(f"{self.where}: {name}={text!r} of {self.title} should be a number.") from None
+
     def choice(self, name: str, default: str) -> str:
         """The value of an option in capitals."""
         return (self.options.get(name) or default).upper()

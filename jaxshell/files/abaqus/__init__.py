@@ -1,0 +1,1 @@
+"""Models of Abaqus and CalculiX input files, as tables of a scene file."""

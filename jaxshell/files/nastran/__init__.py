@@ -1,0 +1,1 @@
+"""Models of Nastran bulk data files, as tables of a scene file."""
