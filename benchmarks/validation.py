@@ -21,6 +21,7 @@ import jaxshell as js
 from benchmarks.pages import fill, table
 from jaxshell import scenes
 from jaxshell.model import generators
+from jaxshell.model.mesh import chain, grid
 from jaxshell.model.supports import ALL
 
 jax.config.update("jax_enable_x64", True)
@@ -197,6 +198,59 @@ def plates() -> str:
     return "\n\n".join(tables)
 
 
+def raasch_hook() -> str:
+    """A strip of two arcs, sheared across at its free end, which bends and twists it. Thickness over radius is 1/7, and
+    bricks shear where a Kirchhoff shell does not."""
+
+    def hook(along, across):
+        first, second = np.radians(np.linspace(0, 60, along + 1)), np.radians(np.linspace(60, -90, 3 * along + 1))
+        small = 14 * np.stack([1 - np.cos(first), np.sin(first)], 1)
+        turned = np.stack([np.cos(second), -np.sin(second)], 1)  # about the other side: the curvature changes its sign
+        line = np.concatenate([small[:-1], small[-1] + 46 * (turned - turned[0])])
+        index, z = grid(np.arange(len(line)), np.linspace(0, 20, across + 1))
+        mesh = js.Mesh(np.column_stack([line[index], z]), js.structured_triangles(len(line) - 1, across))
+        tip = mesh.n_nodes - across - 1 + np.arange(across + 1)
+        load = js.EdgeForce(chain(tip), [0.0, 0.0, 0.05e-3])  # a thousandth, for the linear answer
+        held = [js.clamped(np.arange(across + 1))]
+        return js.Scene(mesh, js.Section(2.0, 3300.0, 0.35, 1.0), held, [load], watch={"tip": (int(tip[0]), "uz")})
+
+    rows = []
+    for mesh in ((6, 4), (12, 8), (24, 16), (48, 32)):
+        found = 1e3 * float(js.solve_static(hook(*mesh), [1.0]).watched["tip"][-1])
+        rows.append([f"{4 * mesh[0]}×{mesh[1]}", f"{found:.3f}", "5.022", f"{found / 5.022 - 1:+.1%}"])
+    header = ["mesh", "tip, in", "bricks of 20 nodes", "difference"]
+    return titled("Raasch's hook (R 14 and 46 in, h 2 in, E 3300 psi, ν 0.35, 0.05 lb/in)", header, rows)
+
+
+def t_junction() -> str:
+    """A cantilever of T section, flange and web of shells that share the nodes of the junction, as a beam."""
+    length, side, h, young_modulus = 2.0, 0.2, 0.01, 70e9
+
+    def tee(along, deep):
+        flange = generators.rectangle(length, side, (along, 2 * deep))
+        x, z = grid(np.linspace(0, length, along + 1), np.linspace(0, -side, deep + 1))
+        web = np.stack([x, 0 * x + 0.5 * side, z], 1)
+        nodes = np.concatenate([flange.nodes, web])
+        triangles = np.concatenate([flange.triangles, js.structured_triangles(along, deep) + flange.n_nodes])
+        mesh = js.Mesh.merged(nodes, triangles, 1e-6)
+        root = mesh.nodes_where(lambda x: x[0] < 1e-9)
+        tip = mesh.nodes_where(lambda x: (abs(x[0] - length) < 1e-9) & (abs(x[1] - 0.5 * side) < 1e-9))
+        tip = tip[np.argsort(np.asarray(mesh.nodes)[tip, 2])]  # of the web, from below
+        load = js.EdgeForce(chain(tip), [0.0, 0.0, 1.0 / side])
+        section = js.Section(h, young_modulus, 0.0, 2700.0)
+        return js.Scene(mesh, section, [js.clamped(root)], [load], watch={"tip": (int(tip[0]), "uz")})
+
+    centre = 0.25 * side  # of the section, below the flange
+    inertia = side * h * centre**2 + side * h**3 / 12 + h * side**3 / 12 + side * h * (0.5 * side - centre) ** 2
+    beam = length**3 / (3 * young_modulus * inertia) + length / (0.5 * young_modulus * side * h)
+    rows = []
+    for mesh in ((10, 2), (20, 2), (40, 4), (80, 8)):
+        found = float(js.solve_static(tee(*mesh), [1.0]).watched["tip"][-1])
+        rows.append([cells_of(mesh), f"{found:.4e}", f"{beam:.4e}", f"{found / beam - 1:+.2%}"])
+    header = ["mesh of the web", "tip under 1 N", "beam, with the web's shear", "difference"]
+    return titled("cantilever of T section, 2 m, 0.2 × 0.2 × 0.01 m", header, rows)
+
+
 def first_edge() -> str:
     """Each triangle's nodes in the three cyclic orders: the spread of an answer over them, and over the meshes."""
 
@@ -255,7 +309,7 @@ TABLES = {
     study.__name__: study
     for study in (
         end_moment, end_shear, slit_annular_plate, cylinder_pull_out, pinched_cylinder, pinched_semi_cylinder,
-        hemisphere, twisted_beam, hinged_roof, plates, first_edge,
+        hemisphere, twisted_beam, hinged_roof, plates, raasch_hook, t_junction, first_edge,
     )
 }  # fmt: skip
 
