@@ -1,0 +1,270 @@
+"""The pictures of the manual's gallery, from the examples themselves.
+
+    python docs/site/gallery.py                      # all of them (half an hour on two cores)
+    python docs/site/gallery.py snap_through 03_benchmarks
+
+An example runs as it stands, and its picture is drawn from the names that it leaves behind; a notebook's is one of those
+that it holds. Writes docs/pictures/gallery/NAME.png, 800 pixels wide.
+"""
+
+import argparse
+import base64
+import io
+import json
+import os
+import runpy
+import sys
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import matplotlib  # noqa: E402
+import numpy as np  # noqa: E402
+from matplotlib.colors import Normalize  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # noqa: E402
+from PIL import Image  # noqa: E402
+
+import jaxshell as js  # noqa: E402
+from jaxshell.plotting.style import BLUE, STYLE, VERMILLION  # noqa: E402
+
+ROOT = Path(__file__).parents[2]
+PICTURES = ROOT / "docs" / "pictures" / "gallery"
+WIDTH = 800
+"""Pixels."""
+
+
+def panels(title: str, columns: int = 2, height: float = 3.0, **options):
+    figure = Figure(figsize=(6.7, height), layout="constrained")
+    figure.suptitle(title, fontsize=9.5)
+    return figure, figure.subplots(1, columns, **options)
+
+
+def surface(panel, nodes, triangles, values, label: str, unit: str, cmap="viridis", symmetric=False) -> None:
+    """A shell in space, true to scale, its triangles coloured; `nodes` in the unit that the axes get."""
+    largest = np.abs(values).max()
+    scale = Normalize(-largest, largest) if symmetric else Normalize(values.min(), values.max())
+    colours = matplotlib.colormaps[cmap](scale(values))
+    corners = nodes[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    colours[:, :3] *= 0.75 + 0.25 * np.abs(normals @ np.array([0.3, -0.5, 0.81]))[:, None]
+    panel.add_collection3d(Poly3DCollection(corners, facecolors=colours, edgecolors="0.35", linewidths=0.15))
+    low, high = nodes.min(0), nodes.max(0)
+    # A flat shell gets room above and below, where its height is to be seen.
+    middle, half = 0.5 * (low + high), 0.5 * np.maximum(high - low, 0.15 * (high - low).max())
+    limits = np.stack([middle - half, middle + half], 1)
+    panel.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
+    panel.set_box_aspect(2 * half, zoom=0.92)
+    panel.locator_params(nbins=4)
+    panel.set(xlabel=f"x in {unit}", ylabel=f"y in {unit}", zlabel=f"z in {unit}")
+    shown = matplotlib.cm.ScalarMappable(scale, cmap)
+    bar = panel.figure.colorbar(shown, ax=panel, shrink=0.6, pad=0.12)
+    bar.set_label(label)
+    bar.outline.set_visible(False)
+
+
+SPACE = {"subplot_kw": {"projection": "3d", "proj_type": "ortho"}}
+
+
+def delay_buckling(e) -> Figure:
+    figure, (left, right) = panels("Opened cap under a ring of forces, EnergyMomentum, Δt = 25 ms")
+    for h, label in ((np.ones(e.rings), "uniform"), (np.asarray(e.h), "best")):
+        scene = e.eqx.tree_at(lambda scene: scene.section.thickness, e.cap, 0.4 * h[e.ring])
+        run = js.simulate(scene, js.EnergyMomentum(), dt=0.025, t_end=5.0, save_every=200)
+        left.plot(run.times, run.watched["A"], label=label)
+        right.step(np.arange(e.rings + 1), 0.4 * np.append(h, h[-1]), where="post", label=label)
+    left.axhline(-5.0, color="0.6", lw=0.8)
+    left.set(xlabel="t in s", ylabel="deflection of A in m", title="-5 m counts as buckled")
+    right.set(xlabel="ring, from the bottom", ylabel="thickness in m", title=f"{e.first:.3f} s → {e.time:.3f} s")
+    left.legend()
+    return figure
+
+
+def identify_load_and_thickness(e) -> Figure:
+    figure, (left, right) = panels("Clamped cap, EnergyMomentum, Δt = 2 µs: what was measured, and what it says")
+    times = 1e6 * np.linspace(0.0, 1.2e-4, e.measured.shape[1])
+    fitted = np.asarray(e.displacements(e.theta))
+    for k, (name, colour) in enumerate(zip(e.points, (BLUE, VERMILLION, "#009E73"), strict=True)):
+        left.plot(times, e.measured[k], ".", color=colour, ms=3)
+        left.plot(times, fitted[k], color=colour, label=name)
+    left.set(xlabel="t in µs", ylabel="displacement in mm", title="dots measured, lines identified")
+    left.legend()
+    t = 1e6 * np.asarray(e.sample_times)
+    right.plot(t, 100 * np.asarray(e.truth[:5]), "k--", label="true")
+    right.errorbar(t, 100 * np.asarray(e.theta[:5]), 300 * np.asarray(e.deviation[:5]), fmt="o", capsize=3, ms=4,
+                   label="identified, ± 3 standard deviations")  # fmt: skip
+    right.set(xlabel="t in µs", ylabel="force at the apex in N", ylim=(0, 125),
+              title=f"thickness {0.4 * float(e.theta[5]):.4f} mm, true {0.4 * float(e.truth[5]):.4f} mm")  # fmt: skip
+    right.legend()
+    return figure
+
+
+def quarter_map(panel, nodes, triangles, values, label, **options) -> None:
+    """Values of the elements of a quarter, seen from above, the other quarters by symmetry; [mm]."""
+    for sx in (1, -1):
+        for sy in (1, -1):
+            drawn = panel.tripcolor(1e3 * sx * nodes[:, 0], 1e3 * sy * nodes[:, 1], triangles, facecolors=values,
+                                    edgecolors="face", linewidth=0.2, **options)  # fmt: skip
+    panel.set_aspect("equal")
+    panel.grid(False)
+    panel.set(xlabel="x in mm", ylabel="y in mm")
+    panel.figure.colorbar(drawn, ax=panel, label=label)
+
+
+def optimise_thickness(e) -> Figure:
+    figure, (left, right) = panels("Clamped cap under 90 N at its apex, EMC, Δt = 2 µs: same mass, lower peak")
+    quarter_map(left, e.nodes, e.triangles, 1e3 * np.asarray(e.best), "thickness in mm", cmap="viridis")
+    for h, label in ((np.full(e.cap.mesh.n_elements, e.uniform), "uniform"), (e.best, "best")):
+        w = np.asarray(e.deflection(h))
+        right.plot(np.linspace(0, 160, w.size), w, label=label)
+    right.set(xlabel="t in µs", ylabel="deflection of the apex in mm")
+    right.legend()
+    return figure
+
+
+def ply_angles(e) -> Figure:
+    figure, (left, right) = panels("Carbon arch [θ1/-θ1/θ2/-θ2]s, pressed through at its crown: SLSQP")
+    tried = np.array(list(e.seen))
+    force, index = np.array([value for value, _ in e.seen.values()]).T
+    left.plot(100 * force, "o-", ms=3.5)
+    left.set(xlabel="evaluation", ylabel="largest force before it snaps in N")
+    twin = right.twinx()
+    right.plot(tried[:, 0], "o-", ms=3.5, label="θ1")
+    right.plot(tried[:, 1], "s--", ms=3.5, color=VERMILLION, label="θ2")
+    twin.plot(index, "k:", label="Tsai-Wu")
+    twin.axhline(e.limit, color="0.6", lw=0.8)
+    twin.grid(False)
+    right.set(xlabel="evaluation", ylabel="angles in degrees")
+    twin.set_ylabel("Tsai-Wu index (limit 0.7)")
+    right.legend(loc="center left")
+    return figure
+
+
+def uncertainty(e) -> Figure:
+    figure, panel = panels("Clamped cap after 60 µs, EMC, Δt = 3 µs: scatter of thickness (2 %) and load (3 %)", 1)
+    sample = np.asarray(e.sampled)
+    panel.hist(sample, 30, density=True, color="0.8", label="400 runs in one program")
+    w = np.linspace(sample.min(), sample.max(), 200)
+    bell = np.exp(-0.5 * ((w - float(e.mean)) / e.linear) ** 2) / (e.linear * np.sqrt(2 * np.pi))
+    panel.plot(w, bell, color=VERMILLION, label="one gradient")
+    panel.set(xlabel="deflection of the apex in mm", ylabel="density in 1/mm")
+    panel.legend()
+    return figure
+
+
+def snap_through(e) -> Figure:
+    figure, panel = panels("Hinged roof, 6.35 mm thick, arc length: load against the deflection of its centre", 1, 3.4)
+    load = 3e3 * e.factor
+    panel.plot(e.centre, np.where(e.stable, load, np.nan), color=BLUE, label="stable")
+    panel.plot(e.centre, np.where(e.stable, np.nan, load), "--", color=VERMILLION, label="unstable")
+    panel.plot([12.892, 15.778], [0.1953 * 3e3, -0.1288 * 3e3], "k+", ms=9, label="limit points, Sze, Liu & Lo 2004")
+    panel.set(xlabel="deflection in mm", ylabel="force in N")
+    panel.legend()
+    return figure
+
+
+def closed_shell(e) -> Figure:
+    figure = Figure(figsize=(6.7, 3.0), layout="constrained")
+    figure.suptitle("Free sphere under a sudden pressure, EnergyMomentum, Δt = T/40", fontsize=9.5)
+    left, right = figure.add_subplot(1, 2, 1, **SPACE["subplot_kw"]), figure.add_subplot(1, 2, 2)
+    frame = int(np.argmax(e.swing))
+    u = np.asarray(e.run.displacements)[frame]
+    radial = 1e3 * np.einsum("ni,ni->n", u, e.nodes) / e.radius
+    time = 1e3 * float(e.run.frame_times[frame])
+    surface(left, e.nodes + 300 * u, e.triangles, radial[e.triangles].mean(1), "radial displacement in mm", "m")
+    left.set_title(f"t = {time:.2f} ms, 300 times enlarged")
+    t = np.asarray(e.run.times)
+    right.plot(1e3 * t, 1e3 * e.swing, label="mean of the nodes")
+    right.plot(1e3 * t, 1e3 * e.w_s * (1 - np.cos(e.omega * t)), "k:", label="membrane theory")
+    right.set(xlabel="t in ms", ylabel="swing of the radius in mm")
+    right.legend(loc="lower center")
+    return figure
+
+
+def shape_gradient(e) -> Figure:
+    figure, (left, right) = panels(f"Clamped panel 0.4 × 0.4 m: lowest frequency {e.first:.1f} → {e.found:.1f} Hz")
+    place = (1e3 * e.side * e.x, 1e3 * e.side * e.y, e.triangles)
+    for panel, values, label in (
+        (left, np.asarray(e.slope) / 1e3, "slope at the start in Hz per mm of a node"),
+        (right, 1e3 * np.asarray(e.z), "heights at the end in mm"),
+    ):
+        field = np.zeros(e.x.size)
+        field[e.inner] = values
+        largest = np.abs(field).max()
+        drawn = panel.tripcolor(*place, field, shading="gouraud", cmap="RdBu_r", vmin=-largest, vmax=largest)
+        panel.set_aspect("equal")
+        panel.grid(False)
+        panel.set(xlabel="x in mm", ylabel="y in mm")
+        figure.colorbar(drawn, ax=panel, label=label)
+    return figure
+
+
+def stiffened_panel(e) -> Figure:
+    figure, both = panels("Stiffened panel from gmsh, clamped at x = 0: modes (size of the motion is arbitrary)", **SPACE)
+    nodes = np.asarray(e.mesh.nodes)
+    for panel, mode in zip(both, (0, e.bending), strict=True):
+        u = np.asarray(e.modes.shapes)[mode, :, :3]
+        u = 0.06 * u / np.abs(u).max()
+        size = np.linalg.norm(u, axis=1) / 0.06
+        surface(panel, nodes + u, e.mesh.triangles, size[e.mesh.triangles].mean(1), "motion, of the largest", "m")
+        panel.set_title(f"{float(e.modes.frequencies[mode]):.1f} Hz")
+    return figure
+
+
+def of_scene_file(path: Path) -> Figure:
+    """The shapes of a run from the command line."""
+    from jaxshell.command.cli import main
+
+    assert main(["run", str(path), "--quiet", "--no-plots"]) == 0
+    run = js.Solution.load(f"{path.stem}.h5")
+    return js.plotting.figures({f"{path.name}": run})["shapes"]
+
+
+def of_notebook(path: Path) -> Image.Image:
+    """The largest picture among its outputs."""
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    outputs = [output.get("data", {}) for cell in cells for output in cell.get("outputs", ())]
+    return Image.open(io.BytesIO(max((base64.b64decode(d["image/png"]) for d in outputs if "image/png" in d), key=len)))
+
+
+def picture_of(path: Path) -> Image.Image:
+    """An example's picture; of those without a function here the one that they write."""
+    if path.suffix == ".ipynb":
+        return of_notebook(path)
+    if path.suffix == ".toml":
+        figure = of_scene_file(path)
+    else:
+        names = SimpleNamespace(**runpy.run_path(str(path)))
+        draw = globals().get(path.stem)
+        if draw is None:
+            return Image.open(f"{path.stem}.png")
+        figure = draw(names)
+    page = io.BytesIO()
+    figure.savefig(page, dpi=2 * WIDTH / figure.get_figwidth())
+    return Image.open(page)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    paths = [*ROOT.glob("examples/*.py"), *ROOT.glob("examples/*.toml"), *ROOT.glob("notebooks/*.ipynb")]
+    found = {path.stem: path for path in sorted(paths)}
+    parser.add_argument("names", nargs="*", choices=[[], *found], help="which; all by default")
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    for name in parser.parse_args().names or found:
+        with tempfile.TemporaryDirectory() as folder, matplotlib.rc_context(STYLE):
+            os.chdir(folder)
+            image = picture_of(found[name]).convert("RGB")
+            os.chdir(ROOT)
+        small = image.resize((WIDTH, round(image.height * WIDTH / image.width)), Image.Resampling.LANCZOS)
+        # A palette: a quarter of the size, and nobody sees it.
+        small.quantize(256, dither=Image.Dither.NONE).save(PICTURES / f"{name}.png", optimize=True)
+        print(f"{name}: {(PICTURES / f'{name}.png').stat().st_size / 1000:.0f} kB", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
