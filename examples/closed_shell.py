@@ -1,6 +1,7 @@
 """Pressure on a closed shell: a free sphere breathes under a pressure that is put into it at once.
 
-The pressure follows the surface, has neither resultant nor moment on a closed shell, and its work is that of the volume:
+The pressure follows the surface. On a closed shell it has neither resultant nor moment, and its work is that of the
+volume:
 
     W = p (V - V₀),      K + S = W,      w'' + ω² w = p/(ρh),      ω² = 2E / (ρR²(1 - ν)),
 

@@ -5,7 +5,7 @@ For a simple eigenvalue of K φ = ω² M φ and a shape x of the stress-free mes
     ∂ω²/∂x = φᵀ (∂K/∂x - ω² ∂M/∂x) φ,      φᵀ M φ = 1,
 
 which `jax.grad` takes through the mesh, its frames and its stiffness. The heights z of the inner nodes of a shallow
-panel, clamped all around, follow the gradient at a given largest height; the edge stays. Stiffness that comes from shape
+panel, clamped all around, follow the gradient within a given height; the edge stays. Stiffness that comes from shape
 costs almost no mass.
 """
 

@@ -3,8 +3,8 @@
     python docs/site/gallery.py                      # all of them (half an hour on two cores)
     python docs/site/gallery.py snap_through 03_benchmarks
 
-An example runs as it stands, and its picture is drawn from the names that it leaves behind; a notebook's is one of those
-that it holds. Writes docs/pictures/gallery/NAME.png, 800 pixels wide.
+An example runs as it stands, and its picture is drawn from the names that it leaves behind; a notebook's is one of
+those that it holds. Writes docs/pictures/gallery/NAME.png, 800 pixels wide.
 """
 
 import argparse
@@ -205,7 +205,7 @@ def shape_gradient(e) -> Figure:
 
 
 def stiffened_panel(e) -> Figure:
-    figure, both = panels("Stiffened panel from gmsh, clamped at x = 0: modes (size of the motion is arbitrary)", **SPACE)
+    figure, both = panels("Stiffened panel from gmsh, clamped at x = 0: two of its modes", **SPACE)
     nodes = np.asarray(e.mesh.nodes)
     for panel, mode in zip(both, (0, e.bending), strict=True):
         u = np.asarray(e.modes.shapes)[mode, :, :3]
@@ -213,6 +213,27 @@ def stiffened_panel(e) -> Figure:
         size = np.linalg.norm(u, axis=1) / 0.06
         surface(panel, nodes + u, e.mesh.triangles, size[e.mesh.triangles].mean(1), "motion, of the largest", "m")
         panel.set_title(f"{float(e.modes.frequencies[mode]):.1f} Hz")
+    return figure
+
+
+def laminate_panel(e) -> Figure:
+    time = f"{1e3 * float(e.run.frame_times[e.frame]):.0f} ms"
+    figure, both = panels(f"Laminate panel of panel.inp in a gust, EnergyMomentum, Δt = 0.5 ms: at t = {time}", **SPACE)
+    u, triangles = np.asarray(e.run.displacements)[e.frame], e.panel.mesh.triangles
+    shape = np.asarray(e.panel.mesh.nodes) + u
+    surface(both[0], shape, triangles, 1e3 * u[triangles, 2].mean(1), "deflection in mm", "m")
+    surface(both[1], shape, triangles, e.index, "Tsai-Wu index, worst ply", "m", "magma_r")
+    return figure
+
+
+def sweep_load(e) -> Figure:
+    figure, (left, right) = panels("Clamped cap, 25 forces in one program, EnergyMomentum, Δt = 2 µs")
+    colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.95, e.found.size))
+    for history, colour in zip(e.found.watched["apex"], colours, strict=True):
+        left.plot(1e6 * e.found.times, -1e3 * history, color=colour, lw=0.8)
+    left.set(xlabel="t in µs", ylabel="deflection of the apex in mm", title="60 N (dark) to 120 N (light)")
+    right.plot(e.forces, e.peak, "o-", ms=3.5)
+    right.set(xlabel="force in N", ylabel="largest deflection in mm")
     return figure
 
 

@@ -6,6 +6,7 @@ Pages link to them as they lie in the repository (`../examples/x.py`); in the si
 import ast
 import contextlib
 import io
+import os
 import re
 from pathlib import Path
 
@@ -58,13 +59,13 @@ def example_page(path: Path) -> str:
 
 def commands_page() -> str:
     """Every command with its options, as `--help` prints them."""
-    import os
-
     from jaxshell.command import cli
 
     os.environ["COLUMNS"] = "100"
-    shown = ["# Commands\n\nWhat `jaxshell COMMAND --help` prints. Exit status: 0, or 1 when a run failed (what it finished "
-             "is kept and drawn), 2 for bad input, 128 and the signal's number when a signal stopped it.\n"]  # fmt: skip
+    shown = [
+        "# Commands\n\nWhat `jaxshell COMMAND --help` prints. Exit status: 0, or 1 when a run failed (what it finished "
+        "is kept and drawn), 2 for bad input, 128 and the signal's number when a signal stopped it.\n"
+    ]
     names = [command.__name__.rpartition(".")[2].replace("_", "-") for command in cli.COMMANDS]
     for name in names:
         shown.append(f"## {name}\n\n```text\n{help_of(cli.main, [name, '--help'])}```\n")
