@@ -24,9 +24,9 @@ jax.config.update("jax_enable_x64", True)
 
 import matplotlib  # noqa: E402
 import numpy as np  # noqa: E402
+from matplotlib.collections import PolyCollection  # noqa: E402
 from matplotlib.colors import Normalize  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # noqa: E402
 from PIL import Image  # noqa: E402
 
 import jaxshell as js  # noqa: E402
@@ -44,31 +44,39 @@ def panels(title: str, columns: int = 2, height: float = 3.0, **options):
     return figure, figure.subplots(1, columns, **options)
 
 
-def surface(panel, nodes, triangles, values, label: str, unit: str, cmap="viridis", symmetric=False) -> None:
-    """A shell in space, true to scale, its triangles coloured; `nodes` in the unit that the axes get."""
-    largest = np.abs(values).max()
-    scale = Normalize(-largest, largest) if symmetric else Normalize(values.min(), values.max())
-    colours = matplotlib.colormaps[cmap](scale(values))
-    corners = nodes[triangles]
+def surface(panel, nodes, triangles, values, label: str, unit: str, cmap="viridis") -> None:
+    """A shell in orthographic projection, true to scale, with a triad and a bar of a length; `nodes` in `unit`."""
+    azimuth, elevation = np.radians(-60.0), np.radians(25.0)
+    towards = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    view = np.stack([right, np.cross(towards, right), towards], axis=1)
+    corners, seen = nodes[triangles], (nodes @ view)[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    colours[:, :3] *= 0.75 + 0.25 * np.abs(normals @ np.array([0.3, -0.5, 0.81]))[:, None]
-    panel.add_collection3d(Poly3DCollection(corners, facecolors=colours, edgecolors="0.35", linewidths=0.15))
-    low, high = nodes.min(0), nodes.max(0)
-    # A flat shell gets room above and below, where its height is to be seen.
-    middle, half = 0.5 * (low + high), 0.5 * np.maximum(high - low, 0.15 * (high - low).max())
-    limits = np.stack([middle - half, middle + half], 1)
-    panel.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
-    panel.set_box_aspect(2 * half, zoom=0.92)
-    panel.locator_params(nbins=4)
-    panel.set(xlabel=f"x in {unit}", ylabel=f"y in {unit}", zlabel=f"z in {unit}")
-    shown = matplotlib.cm.ScalarMappable(scale, cmap)
-    bar = panel.figure.colorbar(shown, ax=panel, shrink=0.6, pad=0.12)
+    scale = Normalize(values.min(), values.max())
+    colours = matplotlib.colormaps[cmap](scale(values))
+    colours[:, :3] *= 0.72 + 0.28 * np.abs(normals @ np.array([0.31, -0.61, 0.73]))[:, None]
+    order = np.argsort(seen[:, :, 2].mean(axis=1))  # the farthest first
+    faces = PolyCollection(list(seen[order, :, :2]), facecolors=colours[order], edgecolors="0.3", linewidths=0.15)
+    panel.add_collection(faces)
+    low, high = seen[:, :, :2].min((0, 1)), seen[:, :, :2].max((0, 1))
+    size = (high - low).max()
+    origin = np.array([low[0] - 0.02 * size, low[1] - 0.22 * size])
+    for axis, letter in enumerate("xyz"):
+        tip = origin + 0.13 * size * view[axis, :2]
+        panel.annotate(
+            "", tip, origin, arrowprops={"arrowstyle": "-|>", "lw": 0.8, "color": "0.2", "shrinkA": 0, "shrinkB": 0}
+        )
+        panel.text(*(origin + 0.17 * size * view[axis, :2]), letter, ha="center", va="center", fontsize=8)
+    length = max(step * 10.0**power for step in (1, 2, 5) for power in range(-4, 4) if step * 10.0**power < 0.35 * size)
+    panel.plot([high[0] - length, high[0]], [origin[1]] * 2, color="black", lw=1.5, solid_capstyle="butt")
+    panel.text(high[0] - length / 2, origin[1] - 0.03 * size, f"{length:g} {unit}", ha="center", va="top")
+    panel.set(xlim=(low[0] - 0.12 * size, high[0] + 0.05 * size), ylim=(low[1] - 0.34 * size, high[1] + 0.05 * size))
+    panel.set_aspect("equal")
+    panel.set_axis_off()
+    bar = panel.figure.colorbar(matplotlib.cm.ScalarMappable(scale, cmap), ax=panel, shrink=0.75, pad=0.02)
     bar.set_label(label)
     bar.outline.set_visible(False)
-
-
-SPACE = {"subplot_kw": {"projection": "3d", "proj_type": "ortho"}}
 
 
 def delay_buckling(e) -> Figure:
@@ -169,9 +177,7 @@ def snap_through(e) -> Figure:
 
 
 def closed_shell(e) -> Figure:
-    figure = Figure(figsize=(6.7, 3.0), layout="constrained")
-    figure.suptitle("Free sphere under a sudden pressure, EnergyMomentum, Δt = T/40", fontsize=9.5)
-    left, right = figure.add_subplot(1, 2, 1, **SPACE["subplot_kw"]), figure.add_subplot(1, 2, 2)
+    figure, (left, right) = panels("Free sphere under a sudden pressure, EnergyMomentum, Δt = T/40")
     frame = int(np.argmax(e.swing))
     u = np.asarray(e.run.displacements)[frame]
     radial = 1e3 * np.einsum("ni,ni->n", u, e.nodes) / e.radius
@@ -205,7 +211,7 @@ def shape_gradient(e) -> Figure:
 
 
 def stiffened_panel(e) -> Figure:
-    figure, both = panels("Stiffened panel from gmsh, clamped at x = 0: two of its modes", **SPACE)
+    figure, both = panels("Stiffened panel from gmsh, clamped at x = 0: two of its modes")
     nodes = np.asarray(e.mesh.nodes)
     for panel, mode in zip(both, (0, e.bending), strict=True):
         u = np.asarray(e.modes.shapes)[mode, :, :3]
@@ -218,7 +224,7 @@ def stiffened_panel(e) -> Figure:
 
 def laminate_panel(e) -> Figure:
     time = f"{1e3 * float(e.run.frame_times[e.frame]):.0f} ms"
-    figure, both = panels(f"Laminate panel of panel.inp in a gust, EnergyMomentum, Δt = 0.5 ms: at t = {time}", **SPACE)
+    figure, both = panels(f"Laminate panel of panel.inp in a gust, EnergyMomentum, Δt = 0.5 ms: at t = {time}")
     u, triangles = np.asarray(e.run.displacements)[e.frame], e.panel.mesh.triangles
     shape = np.asarray(e.panel.mesh.nodes) + u
     surface(both[0], shape, triangles, 1e3 * u[triangles, 2].mean(1), "deflection in mm", "m")
