@@ -58,7 +58,7 @@ with matplotlib.rc_context(STYLE):
             )  # fmt: skip
     axes.set_aspect("equal")
     axes.grid(False)
-    axes.set_title("Clamped cap, 450 N at its apex, EMC, Δt = 3 µs")
+    axes.set_title("Clamped cap, 444.8 N at its apex, EMC, Δt = 3 µs")
     axes.set_xlabel("x in mm")
     axes.set_ylabel("y in mm")
     figure.colorbar(drawn, label="change of the peak in mm per relative\nchange of thickness and per cm²")
