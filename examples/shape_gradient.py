@@ -51,4 +51,4 @@ for _ in range(12):
         length /= 2
     print(f"{new:.2f} Hz")
 print(f"{first:.2f} Hz -> {found:.2f} Hz, no node higher than {1e3 * highest:.0f} mm")
-assert found > 1.2 * first
+assert found > 1.1 * first

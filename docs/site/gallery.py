@@ -232,14 +232,14 @@ def laminate_panel(e) -> Figure:
     return figure
 
 
-def sweep_load(e) -> Figure:
-    figure, (left, right) = panels("Clamped cap, 25 forces in one program, EnergyMomentum, Δt = 2 µs")
-    colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.95, e.found.size))
-    for history, colour in zip(e.found.watched["apex"], colours, strict=True):
-        left.plot(1e6 * e.found.times, -1e3 * history, color=colour, lw=0.8)
-    left.set(xlabel="t in µs", ylabel="deflection of the apex in mm", title="60 N (dark) to 120 N (light)")
-    right.plot(e.forces, e.peak, "o-", ms=3.5)
-    right.set(xlabel="force in N", ylabel="largest deflection in mm")
+def sweep(e) -> Figure:
+    figure, all_three = panels("Clamped cap, latin hypercube of 64 runs, EMC, Δt = 4 µs, first 0.2 ms", 3, 2.6, sharey=True)
+    names = {"h": "thickness", "E": "Young's modulus", "f": "load"}
+    for panel, (name, values) in zip(all_three, e.found.parameters.items(), strict=True):
+        panel.plot(values, 1e3 * e.found.minimum["apex"], ".", ms=4)
+        beta = dict(zip(e.sensitivities.parameters, e.sensitivities.values["apex min"], strict=True))[name]
+        panel.set(xlabel=f"{names[name]}, of its own", title=f"β = {beta:+.2f}")
+    all_three[0].set_ylabel("lowest place of the apex in mm")
     return figure
 
 
