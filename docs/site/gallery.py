@@ -233,7 +233,9 @@ def laminate_panel(e) -> Figure:
 
 
 def sweep(e) -> Figure:
-    figure, all_three = panels("Clamped cap, latin hypercube of 64 runs, EMC, Δt = 4 µs, first 0.2 ms", 3, 2.6, sharey=True)
+    figure, all_three = panels(
+        "Clamped cap, latin hypercube of 64 runs, EMC, Δt = 4 µs, first 0.2 ms", 3, 2.6, sharey=True
+    )
     names = {"h": "thickness", "E": "Young's modulus", "f": "load"}
     for panel, (name, values) in zip(all_three, e.found.parameters.items(), strict=True):
         panel.plot(values, 1e3 * e.found.minimum["apex"], ".", ms=4)

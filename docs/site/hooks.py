@@ -3,15 +3,16 @@
 Pages link to them as they lie in the repository (`../examples/x.py`); in the site they lie beside the pages.
 """
 
+import argparse
 import ast
-import contextlib
-import io
 import os
 import re
 from pathlib import Path
 
 from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File
+
+from jaxshell.command import cli
 
 ROOT = Path(__file__).parents[2]
 PICTURES = "pictures/gallery"
@@ -38,7 +39,7 @@ def on_page_markdown(markdown, page, config, files):
 
 def examples():
     """Programs and files of examples/, in the order of their names."""
-    return sorted(path for path in ROOT.glob("examples/*") if path.suffix in (".py", ".toml", ".inp", ".geo"))
+    return sorted(path for path in ROOT.glob("examples/*") if path.suffix in (".py", ".toml", ".inp", ".bdf", ".geo"))
 
 
 def example_page(path: Path) -> str:
@@ -59,22 +60,15 @@ def example_page(path: Path) -> str:
 
 def commands_page() -> str:
     """Every command with its options, as `--help` prints them."""
-    from jaxshell.command import cli
-
     os.environ["COLUMNS"] = "100"
+    parser = argparse.ArgumentParser(prog="jaxshell")
+    commands = parser.add_subparsers()
+    for command in cli.COMMANDS:
+        command.add(commands)
     shown = [
         "# Commands\n\nWhat `jaxshell COMMAND --help` prints. Exit status: 0, or 1 when a run failed (what it finished "
         "is kept and drawn), 2 for bad input, 128 and the signal's number when a signal stopped it.\n"
     ]
-    names = [command.__name__.rpartition(".")[2].replace("_", "-") for command in cli.COMMANDS]
-    for name in names:
-        shown.append(f"## {name}\n\n```text\n{help_of(cli.main, [name, '--help'])}```\n")
+    for name, of_command in commands.choices.items():
+        shown.append(f"## {name}\n\n```text\n{of_command.format_help()}```\n")
     return "\n".join(shown)
-
-
-def help_of(main, arguments) -> str:
-    """What a command prints before it leaves."""
-    printed = io.StringIO()
-    with contextlib.redirect_stdout(printed), contextlib.suppress(SystemExit):
-        main(arguments)
-    return printed.getvalue()
