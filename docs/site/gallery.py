@@ -44,9 +44,12 @@ def panels(title: str, columns: int = 2, height: float = 3.0, **options):
     return figure, figure.subplots(1, columns, **options)
 
 
-def surface(panel, nodes, triangles, values, label: str, unit: str, cmap="viridis") -> None:
-    """A shell in orthographic projection, true to scale, with a triad and a bar of a length; `nodes` in `unit`."""
-    azimuth, elevation = np.radians(-60.0), np.radians(25.0)
+def surface(panel, nodes, triangles, values, label: str, unit: str, cmap="viridis", azimuth=-60.0) -> None:
+    """A shell in orthographic projection, true to scale, with a triad and a bar of a length; `nodes` in `unit`.
+
+    Seen from `azimuth` [degrees], counted from +x, and from above.
+    """
+    azimuth, elevation = np.radians(azimuth), np.radians(25.0)
     towards = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     view = np.stack([right, np.cross(towards, right), towards], axis=1)
@@ -187,8 +190,8 @@ def closed_shell(e) -> Figure:
     t = np.asarray(e.run.times)
     right.plot(1e3 * t, 1e3 * e.swing, label="mean of the nodes")
     right.plot(1e3 * t, 1e3 * e.w_s * (1 - np.cos(e.omega * t)), "k:", label="membrane theory")
-    right.set(xlabel="t in ms", ylabel="swing of the radius in mm")
-    right.legend(loc="lower center")
+    right.set(xlabel="t in ms", ylabel="swing of the radius in mm", ylim=(-0.02, 0.36))
+    right.legend(loc="upper right")
     return figure
 
 
@@ -196,7 +199,7 @@ def shape_gradient(e) -> Figure:
     figure, (left, right) = panels(f"Clamped panel 0.4 × 0.4 m: lowest frequency {e.first:.1f} → {e.found:.1f} Hz")
     place = (1e3 * e.side * e.x, 1e3 * e.side * e.y, e.triangles)
     for panel, values, label in (
-        (left, np.asarray(e.slope) / 1e3, "slope at the start in Hz per mm of a node"),
+        (left, np.asarray(e.slope) / 1e3, "gradient at the start in Hz/mm"),
         (right, 1e3 * np.asarray(e.z), "heights at the end in mm"),
     ):
         field = np.zeros(e.x.size)
@@ -227,8 +230,8 @@ def laminate_panel(e) -> Figure:
     figure, both = panels(f"Laminate panel of panel.inp in a gust, EnergyMomentum, Δt = 0.5 ms: at t = {time}")
     u, triangles = np.asarray(e.run.displacements)[e.frame], e.panel.mesh.triangles
     shape = np.asarray(e.panel.mesh.nodes) + u
-    surface(both[0], shape, triangles, 1e3 * u[triangles, 2].mean(1), "deflection in mm", "m")
-    surface(both[1], shape, triangles, e.index, "Tsai-Wu index, worst ply", "m", "magma_r")
+    surface(both[0], shape, triangles, 1e3 * u[triangles, 2].mean(1), "deflection in mm", "m", azimuth=-120.0)
+    surface(both[1], shape, triangles, e.index, "Tsai-Wu index, worst ply", "m", "magma_r", azimuth=-120.0)
     return figure
 
 
@@ -240,7 +243,7 @@ def sweep(e) -> Figure:
     for panel, (name, values) in zip(all_three, e.found.parameters.items(), strict=True):
         panel.plot(values, 1e3 * e.found.minimum["apex"], ".", ms=4)
         beta = dict(zip(e.sensitivities.parameters, e.sensitivities.values["apex min"], strict=True))[name]
-        panel.set(xlabel=f"{names[name]}, of its own", title=f"β = {beta:+.2f}")
+        panel.set(xlabel=f"relative {names[name]}", title=f"β = {beta:+.2f}")
     all_three[0].set_ylabel("lowest place of the apex in mm")
     return figure
 
