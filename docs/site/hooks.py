@@ -8,14 +8,16 @@ import ast
 import os
 import re
 from pathlib import Path
+from urllib.parse import unquote
 
-from mkdocs.plugins import event_priority
+from mkdocs.plugins import event_priority, get_plugin_logger
 from mkdocs.structure.files import File
 
 from jaxshell.command import cli
 
 ROOT = Path(__file__).parents[2]
 PICTURES = "pictures/gallery"
+LOG = get_plugin_logger("links")
 
 
 @event_priority(100)  # before mkdocs-jupyter looks for notebooks
@@ -35,6 +37,23 @@ def on_page_markdown(markdown, page, config, files):
     markdown = re.sub(r"\]\(\.\./(examples/[\w.]+)\)", r"](\1.md)", markdown)
     markdown = re.sub(r"\]\(\.\./((?:notebooks/|CHANGELOG|CONTRIBUTING)[\w.]*)", r"](\1", markdown)
     return re.sub(r"\]\(docs/", "](", markdown) if page.file.src_uri == "CONTRIBUTING.md" else markdown
+
+
+def on_post_page(output, page, config):
+    """Notebooks are pages already: their links to the repository's pages, as the site has them."""
+    if not page.file.src_uri.endswith(".ipynb"):
+        return output
+    return re.sub(r'href="\.\./docs/([\w/]+)\.md', r'href="../../\1/', output)
+
+
+def on_post_build(config):
+    """A warning, which `--strict` counts, for every link within the built site that leads nowhere."""
+    site = Path(config.site_dir)
+    for page in site.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        for link in set(re.findall(r'(?:href|src)="([^"#?]+)', text)):
+            if not re.match(r"[a-z]+:|/|\$", link) and not (page.parent / unquote(link)).exists():
+                LOG.warning("%s links to %s, which is not in the site.", page.relative_to(site), link)
 
 
 def examples():
