@@ -1,6 +1,6 @@
 """The pictures of the manual's gallery, from the examples themselves.
 
-    python docs/site/gallery.py                      # all of them (half an hour on two cores)
+    python docs/site/gallery.py                      # all of them, which takes its time
     python docs/site/gallery.py snap_through 03_benchmarks
 
 An example runs as it stands, and its picture is drawn from the names that it leaves behind; a notebook's is one of
