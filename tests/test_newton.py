@@ -1,11 +1,14 @@
 """Newton's iteration on two equations with a known root: when it stops, what it says when it fails."""
 
+import itertools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxshell as js
 from jaxshell.assembly.sparsity import SparsityPattern
 from jaxshell.methods.base import Balance
 from jaxshell.solvers.iteration import DIVERGED, SINGULAR, STAGNATED, SUCCESSFUL, Linear, Problem
@@ -26,7 +29,7 @@ def residual(u, load):
 
 def problem(function) -> Problem:
     return Problem(
-        lambda u: Balance(function(u), jnp.array(10.0), jnp.array(1.0)),
+        lambda u: Balance(function(u), jnp.array(10.0), jnp.array(1.0), jnp.array(10.0)),
         lambda u, last: jax.jacfwd(function)(u).reshape(-1),
         lambda nodal: nodal,
     )
@@ -178,3 +181,29 @@ def test_the_derivative_is_the_implicit_functions():
 def test_settings_out_of_range_are_refused(values, named):
     with pytest.raises(ValueError, match=named):
         Newton(**values)
+
+
+def i_beam(cells=4):
+    """Nodes and triangles of an I-beam of plates, 2 m long."""
+    places, triangles = {}, []
+    strips = [[(-0.05, z), (0.0, z), (0.05, z)] for z in (-0.1, 0.1)] + [[(0.0, -0.1), (0.0, 0.0), (0.0, 0.1)]]
+    for strip in strips:
+        for (y0, z0), (y1, z1) in itertools.pairwise(strip):
+            for k in range(cells):
+                ends = 2.0 * k / cells, 2.0 * (k + 1) / cells
+                corners = [(ends[0], y0, z0), (ends[1], y0, z0), (ends[1], y1, z1), (ends[0], y1, z1)]
+                a, b, c, d = (places.setdefault(corner, len(places)) for corner in corners)
+                triangles += [[a, b, c], [a, c, d]]
+    return list(places), triangles
+
+
+def test_stiff_shells_that_hardly_move_close_their_energy():
+    """Corrections of 1e-8 of the size are no small part of a motion of 1e-4 of it: energy asks for more."""
+    mesh = js.Mesh(*i_beam())
+    tip, root = (mesh.nodes_where(lambda x, at=at: x[0] == at) for at in (2.0, 0.0))
+    loads = [js.NodalForce(tip, [0, 0, 100.0 / len(tip)])]
+    beam = js.Scene(mesh, js.Section(0.005, 210e9, 0.3, 7850.0), [js.clamped(root)], loads)
+    run = js.simulate(beam, js.EnergyMomentum(), dt=1e-3, t_end=0.03)
+    balance = np.abs(run.energy.total - run.energy.external_work).max() / run.energy.total.max()
+    print(f"I-beam: moves {np.abs(run.displacements).max():.1e}, balance {balance:.1e}")
+    assert np.abs(run.displacements).max() < 3e-4 and balance < 1e-9

@@ -52,6 +52,8 @@ class Balance(NamedTuple):
     force: Float[Array, ""]
     """Largest force of an element or a load on a node."""
     moment: Float[Array, ""]
+    work: Float[Array, ""]
+    """What the step exchanges: sizes of the works of every element's elastic forces, of its inertia, and of loads."""
 
 
 class Begun(NamedTuple):
@@ -193,18 +195,18 @@ class ImplicitMethod(Method):
     def balance(self, model: Model, state, begun, u: Float[Array, "n 6"]) -> Balance:
         """The residual of the step at the increments u."""
         data, step, loads, _ = begun
-        motion = self.motion(state, u)
-        forces = jax.vmap(self.element_forces, in_axes=(0, 0, 0, None))(
-            model.gather(motion), model.gather(u), data, step
-        )
+        motion, corners = self.motion(state, u), model.gather(u)
+        forces = jax.vmap(self.element_forces, in_axes=(0, 0, 0, None))(model.gather(motion), corners, data, step)
         residual = model.assemble_vector(forces.elastic + forces.inertial) - loads
-        parts = [forces.elastic, forces.inertial, loads]
+        parts = [(forces.elastic, corners), (forces.inertial, corners), (loads, u)]
         for acting, force in self.following(model, state, begun, motion):
             residual = residual - model.sum_over_nodes(acting, force)
-            parts.append(force)
-        parts = [f.reshape(-1, 2, 3) for f in parts]
-        force, moment = (jnp.max(jnp.stack([jnp.max(jnp.abs(f[:, k])) for f in parts])) for k in (0, 1))
-        return Balance(residual, force, moment)
+            parts.append((force, u[acting.nodes]))
+        works = [jnp.sum((f.reshape(f.shape[0], -1) * d.reshape(f.shape[0], -1)), axis=1) for f, d in parts]
+        work = sum((jnp.sum(jnp.abs(w)) for w in works), jnp.zeros(()))
+        halves = [f.reshape(-1, 2, 3) for f, _ in parts]
+        force, moment = (jnp.max(jnp.stack([jnp.max(jnp.abs(f[:, k])) for f in halves])) for k in (0, 1))
+        return Balance(residual, force, moment, work)
 
     def matrices(self, model: Model, state, begun, u: Float[Array, "n 6"], tangent: str) -> Float[Array, "m 18 18"]:
         """Element tangents at the increments u: `tangent` is "closed_form" or "autodiff"."""

@@ -70,6 +70,8 @@ class _Outlook(NamedTuple):
     """What the next must be below."""
     predicted: Float[Array, ""]
     """The next one."""
+    left: Float[Array, ""]
+    """The fraction of the unbalanced energy that this correction is expected to leave."""
     contraction: Float[Array, ""]
     """To be remembered."""
     stale: Bool[Array, ""]
@@ -83,7 +85,7 @@ def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, m
     memory = eqx.tree_at(lambda m: m.stale, memory, memory.stale | full)
     start = _start(guess, memory, full)
 
-    def advance(c: _Carry, r) -> _Carry:
+    def advance(c: _Carry, r, work) -> _Carry:
         fresh = c.memory.stale
         found, memory = _correction(problem, measure, linear, c, r)
         outlook = _outlook(newton, c, found, fresh)
@@ -91,6 +93,7 @@ def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, m
             enough = jnp.linalg.norm(found.step) <= newton.tolerance
         else:
             enough = (found.length <= outlook.target) | ((found.ratio < 0.5) & (outlook.predicted <= outlook.target))
+            enough &= found.balances(r, work, c.free, outlook.left, newton.tolerance)
             enough |= fresh & (found.ratio > 0.5) & (c.correction < _NOISE)
         # A correction that an old factorization spoiled is not taken; the next factors anew.
         bad = found.hopeless(again=~fresh | c.huge)
@@ -115,14 +118,14 @@ def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, m
         return _where(failed & ~c.full, _begun_anew(start, after), after)
 
     def body(c: _Carry) -> _Carry:
-        r, error = measure.residual(problem, c.free)
+        r, error, work = measure.residual(problem, c.free)
         # Kept factorizations leave errors in soft directions (rigid motions, for one), which residuals hardly show:
         # there corrections alone decide.
         settled = (error < ROUND_OFF) & c.full
         broken = ~jnp.isfinite(error)
         stop = c._replace(done=jnp.array(True), result=jnp.where(broken, DIVERGED, c.result))
         stop = _where(broken & ~c.full, _begun_anew(start, c), stop)
-        return lax.cond(settled | broken, lambda: stop, lambda: advance(c, r))
+        return lax.cond(settled | broken, lambda: stop, lambda: advance(c, r, work))
 
     limit = 2 * newton.max_iterations
     end = lax.while_loop(lambda c: ~c.done & (c.iterations < limit), body, start)
@@ -187,6 +190,9 @@ def _outlook(newton, c: _Carry, found: Correction, fresh) -> _Outlook:
     # After a kept factorization's correction a fresh one's q is still the kept one's, hence no square.
     quadratic = jnp.where(c.full | (c.factorizations == c.iterations), q * q, q)
     predicted = length * jnp.where(first, 1.0, jnp.where(fresh, quadratic, linear))
+    # Energy goes with the stiff directions, which the first correction all but settles: what the second leaves of it
+    # shows in the third.
+    left = jnp.where(fresh, found.unseen, jnp.where(c.own | (c.iterations < 2), 1.0, linear))
     earlier = ~fresh & (c.factorizations == 0)
     contraction = jnp.where(earlier & (c.iterations == 1), q, c.memory.contraction)
     contraction = jnp.where(first & fresh, _FORGETS * contraction, contraction)
@@ -200,7 +206,7 @@ def _outlook(newton, c: _Carry, found: Correction, fresh) -> _Outlook:
     full = (c.memory.hard > 0) | hard
     near = expected < _CONTRACTS**2
     stale = jnp.where(fresh, full & ~near, slow | (to_go > _AFFORDABLE)) | (c.iterations >= _PATIENCE)
-    return _Outlook(target, predicted, contraction, stale | c.full, hard)
+    return _Outlook(target, predicted, left, contraction, stale | c.full, hard)
 
 
 def _remembered(end: _Carry, result) -> Memory:

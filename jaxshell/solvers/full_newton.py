@@ -18,6 +18,7 @@ from jaxshell.solvers.iteration import (
     Memory,
     Problem,
     Solved,
+    energy_closes,
 )
 
 _RESIDUAL_SAFETY = 0.1
@@ -49,13 +50,15 @@ def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, m
     """Iterate from `guess` (nf,) with the settings `newton`: (Solved, `memory` with the last factorization)."""
     by_norm = newton.criterion == "norm"
 
-    def advance(c: _Carry, r, error) -> _Carry:
+    def advance(c: _Carry, r, error, work) -> _Carry:
         step, factorization, _ = linear.factor_and_solve(problem.matrix(c.free, c.last), -r)
         found = measure.correction(step, c.correction)
         if by_norm:
             enough = jnp.linalg.norm(step) <= newton.tolerance
         else:
+            left = jnp.where(jnp.isfinite(c.correction), found.ratio**2, found.unseen)
             enough = predicted_to_converge(found, newton.tolerance)
+            enough &= found.balances(r, work, c.free, left, newton.tolerance)
         bad = found.hopeless(again=c.huge)
         return _Carry(
             free=jnp.where(bad, c.free, c.free + found.damping * step),
@@ -70,13 +73,14 @@ def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, m
         )
 
     def body(c: _Carry) -> _Carry:
-        r, error = measure.residual(problem, c.free)
+        r, error, work = measure.residual(problem, c.free)
         settled = error < ROUND_OFF
         if not by_norm:
-            settled |= c.correction * error < _RESIDUAL_SAFETY * newton.tolerance * c.error
+            near = c.correction * error < _RESIDUAL_SAFETY * newton.tolerance * c.error
+            settled |= near & energy_closes(r @ c.free, work, newton.tolerance)
         broken = ~jnp.isfinite(error)
         stop = c._replace(done=jnp.array(True), result=jnp.where(broken, DIVERGED, c.result))
-        return lax.cond(settled | broken, lambda: stop, lambda: advance(c, r, error))
+        return lax.cond(settled | broken, lambda: stop, lambda: advance(c, r, error, work))
 
     zero = jnp.zeros((), jnp.int32)
     start = _Carry(

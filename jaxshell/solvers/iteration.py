@@ -22,6 +22,10 @@ ROUND_OFF = 1e-14
 """A residual below this fraction of the forces in balance is noise."""
 _GIVE_UP = 1e3
 """No correction is this many times the shell's size, or so many radians."""
+_SMALLEST = 1e-12
+"""Corrections below this are not asked for the sake of energy: near it positions have no more digits."""
+_CURVED = 1e4
+"""What a full correction leaves is about so many times its square, of thin shells, before another one tells."""
 _FIRST_GUESS = 0.1
 """Contraction of a factorization that has not been used yet."""
 
@@ -137,9 +141,29 @@ class Correction(NamedTuple):
         """
         return ~self.finite | (self.huge & (again | (self.damping * self.length > _GIVE_UP)))
 
+    @property
+    def unseen(self) -> Float[Array, ""]:
+        """The fraction of it that a full correction is expected to leave where none has been before it."""
+        return jnp.minimum(1.0, _CURVED * self.length)
+
+    def balances(self, r, work, free, left, tolerance) -> Bool[Array, ""]:
+        """Whether the energy unbalanced after this correction is within the tolerance of what the step exchanges.
+
+        `r` is the residual that asked for it, at the iterate `free`, `work` what the step exchanges there, and `left`
+        the fraction of it that is expected to be left. Corrections are measured by the shell's size; where a stiff
+        shell moves by a small part of it, this asks for more.
+        """
+        unbalanced = jnp.maximum(jnp.abs(r @ (free + self.step)), jnp.abs(r @ self.step))
+        return energy_closes(left * unbalanced, work, tolerance) | (left * self.length <= _SMALLEST)
+
     def failure(self) -> Int[Array, ""]:
         """The result code of a hopeless correction."""
         return jnp.where(self.finite, DIVERGED, SINGULAR)
+
+
+def energy_closes(unbalanced, work, tolerance) -> Bool[Array, ""]:
+    """Whether the energy that a step leaves unbalanced is within the tolerance of the work that it exchanges."""
+    return jnp.abs(unbalanced) <= tolerance * work
 
 
 class Measure(NamedTuple):
@@ -163,9 +187,10 @@ class Measure(NamedTuple):
         return Correction(step, damping, length, ratio, jnp.isfinite(length), length > _GIVE_UP)
 
     def residual(self, problem: Problem, free):
-        """(free residual, its largest entry over the largest force in balance, for forces and moments apart)."""
+        """(free residual, its largest entry over the largest force in balance, for forces and moments apart, and the
+        work that the step exchanges)."""
         balance = problem.balance(free)
         r = problem.free(balance.residual)
         force = jnp.where(balance.force > 0, balance.force, 1.0)
         moment = jnp.where(balance.moment > 0, balance.moment, 1.0)
-        return r, jnp.max(jnp.abs(r) / jnp.where(self.rotates, moment, force))
+        return r, jnp.max(jnp.abs(r) / jnp.where(self.rotates, moment, force)), balance.work
