@@ -150,6 +150,7 @@ def test_a_run_that_was_stopped_goes_on_to_its_end(finished, tmp_path, capsys, m
         assert message in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_run_that_is_told_to_end_does_so_as_by_the_keyboard(finished, tmp_path):
     """SIGTERM, at some moment of a run without end: 128 + 15, a file that is whole, and it goes on."""
     command = [sys.executable, "-m", "jaxshell", "run", str(finished / "strip.toml"), "--t-end", "1e4", "--quiet"]
@@ -264,6 +265,7 @@ def test_elements_are_estimated_before_jax_starts(scene, divisions, elements, fi
     assert _about_as_many_elements(name, divisions) == elements
 
 
+@pytest.mark.slow
 def test_one_thread_for_a_small_mesh_only():
     """Seen from outside: which environment JAX starts with; the user's own word comes first."""
     program = (

@@ -109,6 +109,7 @@ def test_frequencies_are_those_of_the_function_and_their_file_is_drawn_and_run_a
     assert np.array_equal(js.Modes.load(folder / "column_modes_rerun.h5")[0].frequencies, expected.frequencies)
 
 
+@pytest.mark.slow
 def test_frequencies_under_load_are_those_about_the_loaded_state(folder, scene):
     run(folder, "--analysis", "modes", "--count", "1", "--preload", "1", "--no-plots", "--quiet", "--overwrite")
     loaded = float(js.Modes.load(folder / "column_modes.h5")[0].frequencies[0])

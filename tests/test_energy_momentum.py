@@ -114,6 +114,7 @@ def test_increments_of_the_invariants_are_bilinear():
     np.testing.assert_allclose(state.d_metric, [metric[0, 0], metric[0, 1], metric[1, 1]], atol=1e-14)
 
 
+@pytest.mark.slow
 def test_no_motion_gives_the_internal_force_with_its_derivatives():
     """Δπ = 0: the guarded quotient leaves value, first and second derivatives finite, forward and reverse."""
     data, x, R, _ = one_element(3)
@@ -237,6 +238,7 @@ def test_step_size_may_change_freely():
     assert drift(solution.momentum.angular, after_pulse(solution)) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dissipation", [0.01, 0.3])
 def test_dissipation_removes_exactly_what_it_records(dissipation):
     solution = run(strip(loads=pulse()), js.EnergyMomentum(dissipation))
@@ -282,6 +284,7 @@ def test_dissipation_out_of_range_is_refused(value):
         js.EnergyMomentum(value)
 
 
+@pytest.mark.slow
 def test_autodiff_tangent_gives_the_same_run(flight):
     other = run(strip(loads=pulse()), tangent="autodiff")
     np.testing.assert_allclose(other.displacements, flight.displacements, atol=1e-11)
@@ -296,6 +299,7 @@ def test_turned_scene_gives_the_turned_answer(flight):
     np.testing.assert_allclose(turned.rotations, rotation @ np.asarray(flight.rotations) @ rotation.T, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_prescribed_motion_and_pressure_balance():
     """One edge is moved sideways while a constant pressure acts: energy equals the work of both."""
     shake = js.Support([0, 1], ("uz",), 0.05, js.History([0.0, 0.05, 0.1], [0.0, 1.0, -1.0]))

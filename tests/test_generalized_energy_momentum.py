@@ -232,6 +232,7 @@ def test_rotary_inertia_of_a_thin_shell_is_a_correction(inertia, flights):
     assert 1e-8 < error < 2e-2
 
 
+@pytest.mark.slow
 def test_autodiff_and_closed_form_give_the_same_run():
     """With ρ∞ < 1 and ξ > 0, fifty steps to a tenth of a second."""
     closed, autodiff = (

@@ -107,6 +107,7 @@ def fly(scene, **options):
     return js.simulate(scene, js.EnergyMomentum(), dt=1e-4, newton=TIGHT, **options)
 
 
+@pytest.mark.slow
 def test_a_heated_laminate_flies_with_its_momenta(tmp_path):
     """Coupled, mass beside the nodes, heated: E - W and both momenta to round-off; the file goes on as the run would."""
     whole = fly(strip(), t_end=4e-3)
@@ -177,6 +178,7 @@ def largest_stress(solution, frame=-1) -> float:
     return float(largest(scene, jnp.asarray(solution.displacements[frame]), jnp.asarray(solution.rotations[frame])))
 
 
+@pytest.mark.slow
 def test_free_expansion_is_without_stress():
     """A cap, held as a rigid body only, heated at rest and then slowly in motion: it grows by αT and feels nothing."""
     cap = js.scenes.spherical_cap(2).mesh
@@ -224,6 +226,7 @@ def formed_strip(curvature=0.0, strain=0.0, heat=0.0):
     return js.Scene(mesh, section, [clamp], [made], watch={"tip": (20, "uz")})
 
 
+@pytest.mark.slow
 def test_a_strip_that_was_formed_rolls_up():
     """A half circle of chords: every element alone has its curvature, so that the strip is free of stress."""
     scene = formed_strip(np.pi)
@@ -250,6 +253,7 @@ def clamped_plate(loads, cells=6, section=None) -> js.Scene:
     return js.Scene(mesh, section, held, loads)
 
 
+@pytest.mark.slow
 def test_thermal_buckling_of_a_clamped_plate():
     """N = EhαT/(1-ν) = 52.3447 D/a² (Bjørstad & Tjøstheim 1999, Computing 63, table 3), approached from the mesh."""
     T = float(js.linear_buckling(clamped_plate([js.Thermal(1.0)], 8), count=1).load_factors[0])
@@ -315,6 +319,7 @@ def warm_strip(p: dict, dynamic: bool) -> js.Scene:
     return js.Scene(mesh, section, [js.clamped([0, 1])], loads, watch={"tip": (5, "uz")})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dynamic", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["static", "dynamic"])
 def test_gradients(dynamic):
     """Adjoint against forward mode to 1e-10 and differences to 1e-6."""

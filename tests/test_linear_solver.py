@@ -180,6 +180,7 @@ def test_values_that_are_not_finite_give_nan(solver):
     assert np.all(np.isfinite(solver.factor_and_solve(handle, values, RHS)[0]))
 
 
+@pytest.mark.slow
 def test_pardiso_on_several_threads_is_the_same_to_the_last_bit():
     # Its classical factorization is not: 1 to 3 of 60 solutions of this size differ in their last digits.
     solver, pattern = available(Pardiso), analyse(structure_of(spherical_cap(divisions=52)))[1]

@@ -34,6 +34,7 @@ def hoop_stress(sector, loads) -> np.ndarray:
     return np.asarray(jnp.mean(stress, axis=1)[:, 0]).reshape(ROWS, COLUMNS, 2)
 
 
+@pytest.mark.slow
 def test_edge_moment(sector):
     """Load case 1: 1 kN·m/m on the free edge, 6M/h² = 60 MPa everywhere."""
     *_, last = sector

@@ -74,6 +74,7 @@ def through_toml(tmp_path) -> js.Scene:
 # --- answers ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_frequencies_of_a_bulk_data_file_are_those_of_the_scene_by_hand(tmp_path):
     """A laminate whose plies count from a turned side of the quad, off the grid points, and mass that is no structure."""
     bulk = (

@@ -13,6 +13,7 @@ import jaxshell as js
 DATA = Path(__file__).parent / "data"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "method"),
     [("plain", js.EnergyMomentum()), pytest.param("reactions", js.GeneralizedEnergyMomentum(), marks=pytest.mark.slow)],

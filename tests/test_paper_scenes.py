@@ -74,6 +74,7 @@ def test_cap_energy_is_the_work_of_the_load(cap):
     assert error < 1e-2
 
 
+@pytest.mark.slow
 def test_opened_cap_before_buckling():
     solution = js.simulate(js.scenes.opened_cap(), EMC, dt=0.01, t_end=1.0, save_every=10)
     found = np.asarray(solution.watched["A"])[[50, 100]]

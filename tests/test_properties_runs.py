@@ -94,6 +94,7 @@ FAMILY = {
 OTHERS = ("generalized_alpha", "hht", "newmark")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=pytest.mark.evidence) if name in OTHERS else name for name in FAMILY],

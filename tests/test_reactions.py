@@ -112,6 +112,7 @@ def test_recording_changes_nothing_and_is_kept(tmp_path):
     np.testing.assert_allclose(js.reactions(rest), carried[25:], atol=1e-8 * np.nanmax(np.abs(carried)))
 
 
+@pytest.mark.slow
 def test_a_run_without_them_says_so():
     plain = run(METHODS["energy_momentum"], reactions=False)
     with pytest.raises(ValueError, match=r"reactions=True.*EnergyMomentum"):

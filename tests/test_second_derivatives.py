@@ -74,6 +74,7 @@ def check(function, tolerance=1e-5, step=1e-2):
     assert np.asarray(program(AT, direction)[1][0]) == pytest.approx(hessian @ direction[0], abs=1e-9 * size)
 
 
+@pytest.mark.slow
 def test_statics():
     check(bent, step=5e-4)  # it bends by much: the fourth derivatives are large
 

@@ -70,6 +70,7 @@ def test_unstable_equilibrium_is_left():
     assert abs(float(rest.watched["tip"][-1])) == pytest.approx(abs(float(bent.watched["tip"][-1])), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_flat_cushion_and_too_few_steps():
     """A square sheet without stiffness out of its plane to speak of (L/h = 1000), held at its edge, under pressure."""
     mesh = generators.rectangle(1.0, 1.0, (4, 4))

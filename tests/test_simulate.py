@@ -56,6 +56,7 @@ def test_histories_at_every_step_and_frames_at_every_second(whole, scene):
     assert np.abs(np.asarray(whole.displacements)).max() > 1e-4  # a quarter of the thickness
 
 
+@pytest.mark.slow
 def test_frames_apart_leave_the_histories_as_they_are(whole, scene):
     """Also where the steps are no multiple of those between frames: the last frame is the end."""
     sparse = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=7, newton=TIGHT)
@@ -91,6 +92,7 @@ def test_restart_goes_on_as_if_nothing_had_happened(whole, scene):
     close(second.displacements[-1], whole.displacements[-1], 1e-10)
 
 
+@pytest.mark.slow
 def test_autodiff_and_closed_form_give_the_same_run(whole, scene):
     autodiff = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, tangent="autodiff", newton=TIGHT)
     np.testing.assert_array_equal(autodiff.iterations, whole.iterations)

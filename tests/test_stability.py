@@ -59,6 +59,7 @@ def test_elastica_of_the_tables():
     assert elastica(1.015) == pytest.approx(0.220, abs=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "solver", [js.Pardiso, *(pytest.param(s, marks=pytest.mark.evidence) for s in (js.KLU, js.Dense))]
 )

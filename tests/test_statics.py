@@ -50,6 +50,7 @@ def test_end_moment_rolls_a_full_circle(divisions):
     assert float(solution.energy.external_work[-1]) == pytest.approx(energy, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("divisions", [(8, 1), pytest.param((40, 1), marks=pytest.mark.slow)])
 def test_end_shear(divisions):
     """Sze, Liu & Lo 2004, table 1; at 8×1, the mesh that docs/validation.md names, too."""

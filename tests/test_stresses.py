@@ -127,6 +127,7 @@ def bent() -> js.Solution:
     return js.solve_static(strip(watch=WATCH), [0.5, 1.0])
 
 
+@pytest.mark.slow
 def test_what_is_watched_is_what_frames_give(bent):
     def at(values, element):
         return np.asarray(values)[:, element]
@@ -152,6 +153,7 @@ def test_energies_of_elements_sum_up(bent):
     close(np.sum(energies, axis=1), bent.energy.strain[1:], 1e-12)
 
 
+@pytest.mark.slow
 def test_axes_are_axes_of_one_tensor(bent):
     """Element axes, a direction, a cylinder and space: the same invariants; strains and forces do the same work."""
     own, turned = (js.section_forces(bent, at="mean", axes=axes) for axes in ("element", [1.0, 2.0, 0.5]))
@@ -230,6 +232,7 @@ def test_gradients_of_a_failure_limit():
         assert float(difference) == pytest.approx(float(adjoint[k]), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_free_expansion_is_free_of_stress():
     """A heated panel, held like a statically determinate body."""
     mesh = generators.cylinder(1.0, 1.0, (3, 4), angle=100.0)
@@ -323,7 +326,7 @@ def test_a_scene_file_watches_stresses(tmp_path):
     assert f"{largest.value:.6g}, element {largest.element}, {largest.face}" in describe_run("run", run, path)
     drawn = figures(back, ["von mises top", "Myy"])
     assert {"stress", "moment", "displacement", "von_mises_top", "Myy"} <= set(drawn) and "membrane_force" not in drawn
-    assert any(axes.get_ylabel() == "Von Mises stress, top" for axes in drawn["von_mises_top"].axes)
+    assert any(axes.get_ylabel() == "Von Mises stress, top in Pa" for axes in drawn["von_mises_top"].axes)
     assert drawn["moment"].axes[0].get_ylabel() == "root, $M_{xx}$"
 
 
