@@ -258,7 +258,7 @@ def test_viscous_material_shortens_the_explicit_step():
 
 
 GRADIENTS = [
-    pytest.param(method, marks=pytest.mark.slow if k < 2 else pytest.mark.evidence)
+    pytest.param(method, marks=pytest.mark.slow if k < 1 else pytest.mark.evidence)
     for k, method in enumerate(METHODS.values())
 ]
 
