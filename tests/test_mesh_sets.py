@@ -20,6 +20,7 @@ from jaxshell.files.scene_file import read_scene_file  # noqa: E402
 from jaxshell.model.cells import Cells  # noqa: E402
 from jaxshell.model.mesh import mesh_of_cells  # noqa: E402
 from jaxshell.model.mesh_files import abaqus, nastran  # noqa: E402
+from jaxshell.model.mesh_files.bulk_data import read_file  # noqa: E402
 from jaxshell.model.mesh_files.cards import read_cards  # noqa: E402
 from jaxshell.model.sections.regions import Regions  # noqa: E402
 
@@ -245,7 +246,7 @@ def test_properties_of_bulk_data_are_sets(tmp_path):
     )
     assert lists(mesh.element_sets) == {"skin": [0, 1], "PCOMP 9": [2, 3]}
     assert lists(mesh.side_sets) == {"property 5": [[4, 5]]} and lists(mesh.node_sets) == {"property 5": [4, 5]}
-    bulk = nastran.read_bulk(tmp_path / "hand.bdf")
+    bulk = nastran.bulk_of_file(read_file(tmp_path / "hand.bdf"))
     assert (bulk.points[5], bulk.elements[8]) == (4, 3)
 
 
@@ -253,6 +254,43 @@ def test_bulk_data_without_begin_and_end_are_read(tmp_path):
     """As gmsh writes them."""
     text = BDF.split("BEGIN BULK\n")[1].replace("ENDDATA\n", "")
     assert js.Mesh.read(written(tmp_path, "bare.nas", text)).n_elements == 4
+
+
+CYLINDER = """GRDSET,,7
+CORD1C,7,1,2,3
+GRID,1,0,0.,0.,0.
+GRID,2,0,0.,0.,1.
+GRID,3,0,1.,0.,0.
+GRID,4,,2.,0.,0.
+GRID,5,,2.,90.,0.
+GRID,6,,2.,90.,1.
+CTRIA3,1,1,4,5,6
+"""
+
+
+def test_coordinate_systems_of_grid_points_and_a_system_for_all(tmp_path):
+    """A 0 in place of the system is the basic one, an empty field GRDSET's. What follows ENDDATA is not read."""
+    written(tmp_path, "inner.bdf", CYLINDER + "ENDDATA\nGRID,4\n")
+    mesh = js.Mesh.read(written(tmp_path, "outer.bdf", "INCLUDE 'inner.bdf' $ and no more\nINCLUDE 'none.bdf'\n"))
+    np.testing.assert_allclose(mesh.nodes, [[2, 0, 0], [0, 2, 0], [0, 2, 1]], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("GRDSET,,7", "GRDSET,,7\nGRDSET,,0", "line 2: GRDSET is there twice"),
+        ("GRID,3,0,", "GRID,3,,", "line 5: GRID 3 is in coordinate system 7, which is defined by itself"),
+        ("CORD1C,7,1,2,3", "CORD1C,7,1,2,9", "line 2: CORD1C 7 names grid point 9, which is not there"),
+        ("CORD1C,7,1,2,3", "CORD1C,7,1,2,3,7,1,3,2", "line 2: coordinate system 7 is defined twice"),
+        ("GRID,4,,2.", "GRID,4,,nan", "line 6: field 3 of GRID, 'nan', should be a number"),
+        ("GRID,6,,2.,90.,1.", "GRID,6,,2.,90.,1.,,,,+B\n+C,1", r"line 9: \+C does not continue .* goes on with \+B"),
+        ("CTRIA3,1", "BEGIN SUPER=1\nCTRIA3,1", "line 9: superelements are not read, and BEGIN SUPER=1 begins one"),
+        ("CTRIA3,1", "CTRIA 3,1", "line 9: 'CTRIA 3,' begins no card of bulk data"),
+    ],
+)  # fmt: skip
+def test_grid_points_that_are_wrong_are_refused_with_their_line(old, new, message, tmp_path):
+    with pytest.raises(ValueError, match=r"wrong\.bdf, " + message):
+        js.Mesh.read(written(tmp_path, "wrong.bdf", CYLINDER.replace(old, new, 1)))
 
 
 def test_springs_and_rigid_bodies_are_left_out_by_name(tmp_path):

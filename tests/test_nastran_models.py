@@ -133,6 +133,24 @@ def test_supports_and_loads_of_a_static_subcase(tmp_path):
     assert '\nelements = "PSHELL 10"\n' in (tmp_path / "scene.toml").read_text()
 
 
+def test_systems_of_grid_points_and_what_holds_for_all_grid_points(tmp_path):
+    """CORD1R defines two systems in a line; GRDSET holds uz everywhere but where a grid point says 0."""
+    grids = "CORD1R  7       1       2       4       8       1       4       2\nGRDSET                                                  3\n"
+    grids += GRIDS.replace(
+        "GRID    6               2.      1.      0.", "GRID    6               2.      1.      0.              0"
+    )
+    bulk = (
+        PLAIN
+        + MATERIAL
+        + HELD
+        + "FORCE   30      3       7       5.      1.\nFORCE   30      6       8       7.      0.      1.\n"
+    )
+    scene = read(tmp_path, bulk, case="LOAD = 30", mesh=grids)
+    forces = js.NodalForce([2, 5], [[0, 5.0, 0], [0, 0, -7.0]], RAMP)
+    assert_alike(scene, js.Scene(MESH, TWO, [ROOT, js.Support([1, 2, 4], "uz")], [forces]))
+    assert same(scene, through_toml(tmp_path))
+
+
 def test_a_transient_with_a_table(tmp_path):
     """Nastran goes on along a table's last line."""
     bulk = PLAIN + MATERIAL + HELD + "TSTEP   5       40      .001    4\nDLOAD   8       1.      3.      81\n"
@@ -192,6 +210,16 @@ GRID    6       7       2.      60.     1.
 
 
 # --- what is not carried over ----------------------------------------------------------------------------
+
+
+def test_a_pressure_on_sides_is_refused(tmp_path):
+    write(
+        tmp_path,
+        PLAIN + MATERIAL + HELD + "PLOAD4  32      1       100.\n                                        LINE    X\n",
+        case="LOAD = 32",
+    )
+    with pytest.raises(ValueError, match=r"  PLOAD4 of type LINE, X \(model\.bdf, line 23\)\n"):
+        js.read_model(tmp_path / "model.bdf")
 
 
 def test_what_has_no_counterpart_is_listed_or_refused(tmp_path, capsys):

@@ -181,7 +181,7 @@ def _driven(setup: Setup, factors, branch: str, output, bar, linear_solver) -> S
         log.start(record, frame)
         for position, target in enumerate(factors):
             now, found = _reach(model, setup.plan, now, target, branch == "follow", log.path)
-            failed = now.code != SUCCESSFUL
+            failed = bool(now.code != SUCCESSFUL)
             if found is not None:
                 log.step(found.record, found.frame, found.spent, last=failed or position == len(factors) - 1)
                 bar.advance(log.records[-1])

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from jaxshell.files.draft import Notes, Target, only
-from jaxshell.files.nastran.cards import Card, Deck
-from jaxshell.files.nastran.coordinates import Systems
 from jaxshell.model.mesh import mesh_of_cells
-from jaxshell.model.mesh_files.nastran import read_bulk
+from jaxshell.model.mesh_files.bulk_data import Card, File
+from jaxshell.model.mesh_files.nastran import bulk_of_file
 
 SHELLS = {
     "CTRIA3": 3,
@@ -67,12 +66,12 @@ class Element:
 class Geometry:
     """The mesh of a file, and what its grid points and elements are in it."""
 
-    def __init__(self, path: Path, deck: Deck, notes: Notes, second_order: str):
-        bulk = read_bulk(path)
-        cards = deck.named(*SHELLS)
+    def __init__(self, path: Path, file: File, notes: Notes, second_order: str):
+        bulk = bulk_of_file(file)
+        cards = [card for card in file.cards if card.name in SHELLS]
         if not cards:
             raise ValueError(f"{path} has no shell elements ({', '.join(SHELLS)}).")
-        self.systems = Systems(deck)
+        self.systems = bulk.systems
         self.elements = [Element(card.whole(1), card, SHELLS[card.name]) for card in cards]
         shells = {element.label for element in self.elements}
         kept = np.isin(np.arange(len(bulk.elements)), [bulk.elements[label] for label in shells])
@@ -113,4 +112,4 @@ class Geometry:
     def corners(self, element: Element) -> np.ndarray:
         """(3 or 4, 3) the corners of an element."""
         count = {6: 3, 8: 4}.get(element.corners, element.corners)
-        return np.array([self.systems.grid(element.card.whole(3 + i)) for i in range(count)])
+        return np.array([self.systems.grid(element.card.whole(3 + i), element.card) for i in range(count)])

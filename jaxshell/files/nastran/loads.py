@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from jaxshell.files.draft import Forces, Holds, Notes, with_history
-from jaxshell.files.nastran.cards import Card, Deck
+from jaxshell.files.nastran.control import Deck
 from jaxshell.files.nastran.geometry import Geometry
+from jaxshell.model.mesh_files.bulk_data import Card
 
 STATIC = ("FORCE", "MOMENT", "PLOAD2", "PLOAD4", "GRAV")
 BEYOND = (
@@ -42,11 +43,8 @@ class Loads:
 
     def supports(self, sets: int) -> None:
         """The supports of SPC=, and the permanent ones of the grid points."""
-        every = self._geometry.systems
-        for card in self._deck.named("GRID"):
-            digits = every.held(card.whole(1))
-            if digits:
-                self._hold([card.whole(1)], digits, card, False)
+        for card, digits in self._geometry.systems.held():
+            self._hold([card.whole(1)], digits, card, False)
         if not sets:
             return
         wanted = {sets}
@@ -205,7 +203,7 @@ class Loads:
 
     def _add(self, card: Card, factor: float, history: Any) -> None:
         if card.name in ("FORCE", "MOMENT"):
-            system = self._geometry.systems[card.whole(3, 0)]
+            system = self._geometry.systems.system(card.whole(3, 0), card)
             vector = factor * card.number(4) * system.vector(card.vector(5), card)
             target, nodes = self._geometry.nodes([card.whole(2)], False, card)
             if not nodes.size:
@@ -214,7 +212,7 @@ class Loads:
             self._forces.add(card.name.lower(), target, vector, history)
             self._notes.carried["nodal forces and moments"] += 1
         elif card.name == "GRAV":
-            system = self._geometry.systems[card.whole(2, 0)]
+            system = self._geometry.systems.system(card.whole(2, 0), card)
             vector = factor * card.number(3) * system.vector(card.vector(4), card)
             self._shell({"kind": "gravity", "acceleration": vector.tolist()}, history, "gravity")
         else:
@@ -233,6 +231,10 @@ class Loads:
                 labels = list(range(labels[0], card.whole(8) + 1))
             if any(card.number(at, 0.0) for at in (10, 11, 12)):
                 self._notes.missing.append(f"PLOAD4 with a direction of its own ({card.where})")
+                return
+            kind = tuple(card.text(at).upper() for at in (13, 14))
+            if kind[0] not in ("", "SURF") or kind[1] not in ("", "NORM"):
+                self._notes.missing.append(f"PLOAD4 of type {', '.join(filter(None, kind))} ({card.where})")
                 return
         triangles = self._geometry.triangles(labels)
         strange = [label for label in labels if not self._geometry.is_shell(label)]

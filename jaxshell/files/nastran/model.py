@@ -4,10 +4,12 @@ from pathlib import Path
 from typing import Any
 
 from jaxshell.files.draft import Draft, Notes
-from jaxshell.files.nastran.cards import Card, Deck, read_deck
+from jaxshell.files.nastran.control import Deck, deck_of_file
 from jaxshell.files.nastran.geometry import SHELLS, Geometry
 from jaxshell.files.nastran.loads import BEYOND, STATIC, Loads
 from jaxshell.files.nastran.sections import PROPERTIES, Sections
+from jaxshell.model.mesh_files import coordinates
+from jaxshell.model.mesh_files.bulk_data import Card, read_file
 
 _SOLUTIONS = {
     **dict.fromkeys(("1", "101", "SESTATIC", "106", "NLSTATIC"), "static"),
@@ -16,9 +18,9 @@ _SOLUTIONS = {
     **dict.fromkeys(("109", "SEDTRAN", "112", "SEMTRAN", "129", "NLTRAN"), "time"),
 }
 _READ = (
-    "GRID", "GRDSET", *SHELLS, *PROPERTIES, "MAT1", "MAT8", "MAT2", "MAT9", "MAT10", "SPC", "SPC1", "SPCADD", "LOAD",
+    *coordinates.CARDS, *SHELLS, *PROPERTIES, "MAT1", "MAT8", "MAT2", "MAT9", "MAT10", "SPC", "SPC1", "SPCADD", "LOAD",
     "DLOAD", *STATIC, *BEYOND, "TLOAD1", "LSEQ", "DAREA", "TABLED1", "TSTEP", "TSTEPNL", "EIGRL", "EIGR", "EIGB",
-    "NLPARM", "CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S", "PARAM", "BEGIN",
+    "NLPARM", "PARAM",
 )  # fmt: skip
 """Cards that are looked at; loads that are not chosen have no part in the answer."""
 _HARMLESS = ("PLOTEL", "SET", "ASET", "ASET1", "QSET", "QSET1", "SUPORT", "SUPORT1", "MDLPRM", "NASTRAN", "EIGC")
@@ -27,10 +29,11 @@ _HARMLESS = ("PLOTEL", "SET", "ASET", "ASET1", "QSET", "QSET1", "SUPORT", "SUPOR
 def read_nastran(path: Path, second_order: str) -> Draft:
     """The draft of a file. Raises FileNotFoundError, and ValueError with file and line for what is wrong."""
     notes = Notes()
-    deck = read_deck(path)
+    file = read_file(path)
+    deck = deck_of_file(file)
     analysis = _analysis(deck, notes)
     statics = analysis in ("static", "buckling")
-    geometry = Geometry(path, deck, notes, second_order)
+    geometry = Geometry(path, file, notes, second_order)
     run, end = _run(deck, analysis, notes)
     sections = Sections(deck, geometry, notes, _mass(deck), statics).tables()
     loads = Loads(deck, geometry, notes, end)

@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 
 from jaxshell.files.draft import Notes
-from jaxshell.files.nastran.cards import Card, Deck
+from jaxshell.files.nastran.control import Deck
 from jaxshell.files.nastran.geometry import Element, Geometry
+from jaxshell.model.mesh_files.bulk_data import Card
 
 PROPERTIES = ("PSHELL", "PCOMP", "PCOMPG")
 MATERIALS = ("MAT1", "MAT8")
@@ -158,7 +159,7 @@ class Sections:
     def _vector(self, element: Element) -> np.ndarray:
         text, card = element.theta, element.card
         if text.isdigit() and "." not in text:
-            return self._geometry.systems[int(text)].vector([1.0, 0.0, 0.0], card)
+            return self._geometry.systems.system(int(text), card).vector([1.0, 0.0, 0.0], card)
         x = self._geometry.corners(element)
         side = _unit(x[1] - x[0])
         angle = np.deg2rad(Card("THETA", [text], card.where).number(1, 0.0))
