@@ -145,6 +145,16 @@ def test_vtk_reads_the_fields_that_are_asked_for_seldom(solution, tmp_path):
     close(frame["normal"], normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
+def test_several_frames_each_have_the_heat_of_their_time(solution):
+    """It rises up to 0.6; as N of all frames at once, each with the factor of its own time."""
+    rows = [0, 3, 10]
+    assert np.asarray(solution.frame_times)[rows].tolist() == pytest.approx([0.0, 0.3, 1.0])
+    together = js.section_forces(solution, rows).N
+    close(together, [js.section_forces(solution, row).N for row in rows])
+    stresses = js.stresses(solution, rows, "top")
+    close(stresses, [js.stresses(solution, row, "top") for row in rows])
+
+
 @pytest.mark.slow
 def test_vtk_draws_the_deformed_shell(solution, tmp_path):
     """Off-screen, warped by the displacement and coloured by von Mises' stress: neither blank nor of one colour."""

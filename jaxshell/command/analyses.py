@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from jaxshell.command.outputs import outputs, say_besides
 from jaxshell.command.run_settings import solvers_of
 from jaxshell.files.run_keys import RunSettings
 from jaxshell.numerics.signals import exit_status
@@ -26,6 +27,11 @@ def run_analysis(options: argparse.Namespace, settings: RunSettings, scene, stem
     if options.go_on:
         raise ValueError(
             f'--continue goes on with a run in time, but the analysis is "{settings.analysis}": run it again without.'
+        )
+    if options.vtkhdf and settings.analysis in _COUNTS:
+        raise ValueError(
+            f'--vtkhdf is for runs in time, "static" and "arc-length", but the analysis is "{settings.analysis}": mode '
+            "shapes are drawn as pictures, and jaxshell.Modes.load and jaxshell.BucklingModes.load read them."
         )
     options.output.mkdir(parents=True, exist_ok=True)
     say = (lambda *_: None) if options.quiet else print
@@ -71,7 +77,6 @@ def _equilibria(options, settings: RunSettings, scene, path: Path, say) -> tuple
     """Statics, by load steps or by arc length."""
     from jaxshell.command.path_report import NAMES, describe_path
     from jaxshell.plotting import plot
-    from jaxshell.results.hdf5 import ResultWriter
     from jaxshell.results.solution import RESULTS
 
     solve, asked = path_analysis(settings)
@@ -80,9 +85,10 @@ def _equilibria(options, settings: RunSettings, scene, path: Path, say) -> tuple
         **asked,
         throw=False,
         progress=sys.stderr.isatty() and not options.quiet,
-        output=ResultWriter(path, overwrite=options.overwrite),
+        output=outputs(path, options),
     )
     say(describe_path(solution, path))
+    say_besides(path, options, say)
     failed = not bool(solution.result == RESULTS.successful)
     if failed:
         print(f"jaxshell: {settings.analysis} failed. {solution.message}", file=sys.stderr)

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from jaxshell.command.analyses import run_analysis
+from jaxshell.command.outputs import outputs, say_besides
 from jaxshell.command.run_settings import (
     arguments_of_simulate,
     chosen_methods,
@@ -87,15 +88,14 @@ def _run_in_time(options: argparse.Namespace, settings, scene, stem: str) -> int
                 restart=restart,
                 throw=False,
                 progress=sys.stderr.isatty() and not options.quiet,
-                output=_outputs(path, options),
+                output=outputs(path, options),
             )
         except KeyboardInterrupt as stopped:
             _say_stopped(path)
             return exit_status(stopped)
         solutions[label] = solution
         say(describe_run(label, solution, path))
-        if options.vtkhdf:
-            say(f"  {path.with_suffix('.vtkhdf')}")
+        say_besides(path, options, say)
         if not bool(solution.result == RESULTS.successful):
             failed.append(label)
             print(f"jaxshell: {label} failed. {solution.message}", file=sys.stderr)
@@ -123,17 +123,6 @@ def _say_stopped(path: Path) -> None:
         )
     else:
         print("jaxshell: stopped before the first step.", file=sys.stderr)
-
-
-def _outputs(path: Path, options: argparse.Namespace) -> list:
-    """The result file, and what is asked for besides."""
-    from jaxshell.results.export.vtkhdf import VTKHDFWriter
-    from jaxshell.results.hdf5 import ResultWriter
-
-    found: list = [ResultWriter(path, overwrite=options.overwrite)]
-    if options.vtkhdf:
-        found.append(VTKHDFWriter(path.with_suffix(".vtkhdf"), overwrite=options.overwrite))
-    return found
 
 
 def _file_part(label: str) -> str:

@@ -32,7 +32,8 @@ class History(eqx.Module):
         if is_concrete(self.times) and np.any(np.diff(np.asarray(self.times)) <= 0):
             raise ValueError(f"history times must increase, but they are {np.asarray(self.times).tolist()}.")
 
-    def __call__(self, time) -> Float[jax.Array, ""]:
+    def __call__(self, time) -> Float[jax.Array, "*t"]:
+        """The factor at a time, or at each of several."""
         return jnp.interp(time, self.times, self.values)
 
     @classmethod

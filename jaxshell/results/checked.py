@@ -119,6 +119,8 @@ def reading(path) -> Iterator[Any]:
         except (OSError, RuntimeError, ValueError, OverflowError) as error:
             raise ValueError(f"{path} cannot be read as an HDF5 file ({_short(error)}).") from error
         try:
+            if "VTKHDF" in file:
+                raise ValueError(f"{path} is a VTKHDF file, for ParaView: name the result file that it was made of.")
             _look_through(file, path.stat().st_size)
             yield file
         except _DAMAGE as error:

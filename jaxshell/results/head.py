@@ -8,6 +8,8 @@ from jaxshell.results.tree import to_json, write_scene
 from jaxshell.version import version
 
 FORMAT, SCHEMA = "jaxshell", 2
+SWEEP = "jaxshell sweep"
+"""The format of a sweep's file (`jaxshell.results.sweep_file`)."""
 _READ = (1, 2)
 RUN, MODES, BUCKLING = "run", "modes", "buckling"
 """What a file may hold; the first where it does not say."""
@@ -30,6 +32,11 @@ def check_schema(file, path, holds: str | None = None) -> None:
     """Raise ValueError for a file that is not ours, of another schema, or that holds something else than `holds`."""
     kind = read_text(file, "format") if "format" in file.attrs else None
     schema = file.attrs.get("schema")
+    if kind == SWEEP:
+        raise ValueError(
+            f"{path} holds a sweep, not one run: jaxshell.Sweep.load reads it, and `jaxshell sweep`, asked for the same "
+            "again, draws it."
+        )
     if kind != FORMAT:
         raise ValueError(f"{path} is an HDF5 file, but not one that jaxshell wrote.")
     if schema not in _READ:

@@ -33,12 +33,13 @@ from jaxshell.results import checked
 from jaxshell.results.checked import extend, growing, read_text, reading, write_array, write_attribute, write_text
 from jaxshell.results.claim import Claim
 from jaxshell.results.durable import in_use
+from jaxshell.results.head import SWEEP
 from jaxshell.results.quaternions import matrices_to_quaternions, quaternions_to_matrices
 from jaxshell.results.sweep import ENERGIES, EXTREMES, Sweep
 from jaxshell.results.tree import read_scene_of, to_json, tuples, write_scene
 from jaxshell.version import version
 
-FORMAT, SCHEMA = "jaxshell sweep", 1
+SCHEMA = 1
 _NAME = np.dtype("S16")
 _SOON = 1.0
 """Seconds between two waits for the disk."""
@@ -61,7 +62,7 @@ class SweepWriter:
         self._synced = 0.0
         with held():
             self._file: Any = checked.create(self._claim.file)
-            for name, text in {"format": FORMAT, "jaxshell": version()}.items():
+            for name, text in {"format": SWEEP, "jaxshell": version()}.items():
                 write_attribute(self._file, name, text)
             self._file.attrs["schema"] = SCHEMA
             write_text(self._file, "settings", to_json(settings))
@@ -253,7 +254,7 @@ def save_sweep(sweep: Sweep, path, overwrite: bool = False) -> None:
 
 def _check_schema(file, path) -> None:
     kind = read_text(file, "format") if "format" in file.attrs else None
-    if kind != FORMAT:
+    if kind != SWEEP:
         raise ValueError(f"{path} is an HDF5 file, but no sweep of jaxshell's.")
     if file.attrs.get("schema") != SCHEMA:
         raise ValueError(

@@ -1,0 +1,23 @@
+"""The files that `jaxshell run` writes as it goes."""
+
+import argparse
+from pathlib import Path
+
+from jaxshell.results.output import Output
+
+
+def outputs(path: Path, options: argparse.Namespace) -> list[Output]:
+    """The result file, and what is asked for besides."""
+    from jaxshell.results.export.vtkhdf import VTKHDFWriter
+    from jaxshell.results.hdf5 import ResultWriter
+
+    found: list[Output] = [ResultWriter(path, overwrite=options.overwrite)]
+    if options.vtkhdf:
+        found.append(VTKHDFWriter(path.with_suffix(".vtkhdf"), overwrite=options.overwrite))
+    return found
+
+
+def say_besides(path: Path, options: argparse.Namespace, say) -> None:
+    """A line for each file that was written besides the result file."""
+    if options.vtkhdf:
+        say(f"  {path.with_suffix('.vtkhdf')}")
