@@ -1,5 +1,6 @@
 """Statics, arc length, frequencies and buckling from scene files: the answers of the functions, files, refusals."""
 
+import h5py
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -74,8 +75,13 @@ def test_statics_are_those_of_the_function(folder, static, capsys):
 
 
 def test_a_static_file_asks_for_the_same_again(folder, static):
-    run(folder, "--analysis", "static", "--load-steps", "2", "--quiet", "--no-plots")
+    """And what is written for ParaView as it goes is the run."""
+    run(folder, "--analysis", "static", "--load-steps", "2", "--vtkhdf", "--quiet", "--no-plots")
     path = folder / "column_static.h5"
+    with h5py.File(folder / "column_static.vtkhdf") as file:
+        assert np.array_equal(file["VTKHDF/Steps/Values"], static.times)
+        shapes = np.reshape(file["VTKHDF/PointData/displacement"], np.shape(static.displacements))
+    assert np.array_equal(shapes, static.displacements)
     settings = RunSettings.from_result_file(read_settings(path)).said()
     assert settings["analysis"] == "static" and settings["load_factors"] == (0.5, 1.0)
     assert (settings["branch"], settings["newton_tolerance"], settings["newton_reuse"]) == ("straight", 1e-12, False)
@@ -123,11 +129,15 @@ def test_frequencies_under_load_are_those_about_the_loaded_state(folder, scene):
 @pytest.mark.slow
 def test_arc_length_is_that_of_the_function(folder, scene, capsys):
     options = ["--analysis", "arc-length", "--arc-length", "0.005", "--max-steps", "3", "--max-load-factor", "0.5"]
+    options += ["--vtkhdf"]
     run(folder, *options)
     found = js.Solution.load(folder / "column_arc_length.h5")
     expected = js.solve_arc_length(scene, 0.005, steps=3, max_load_factor=0.5)
     assert np.array_equal(found.times, expected.times) and np.array_equal(found.displacements, expected.displacements)
-    assert f"arc length: {len(found.times) - 1} steps to load factor" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"arc length: {len(found.times) - 1} steps to load factor" in said and "column_arc_length.vtkhdf\n" in said
+    with h5py.File(folder / "column_arc_length.vtkhdf") as file:
+        assert np.array_equal(np.ravel(file["VTKHDF/FieldData/load factor"]), found.times)
     settings = RunSettings.from_result_file(read_settings(folder / "column_arc_length.h5"))
     assert (settings.arc_length, settings.max_steps, settings.max_load_factor) == (0.005, 3, 0.5)
 
@@ -135,7 +145,9 @@ def test_arc_length_is_that_of_the_function(folder, scene, capsys):
 def test_files_of_another_kind_are_named(folder, scene, static):
     static.save(folder / "still.h5")
     js.Modes(jnp.ones(1), jnp.zeros((1, scene.mesh.n_nodes, 6))).save(folder / "one.h5", scene)
+    static.to_vtkhdf(folder / "still.vtkhdf", "displacement")
     for read, name, message in (
+        (js.Solution.load, "still.vtkhdf", r"still\.vtkhdf is a VTKHDF file, for ParaView: name the result file that it"),
         (js.Solution.load, "one.h5", "holds natural frequencies, not a run: jaxshell.Modes.load reads it"),
         (js.BucklingModes.load, "one.h5", "holds natural frequencies, not buckling factors"),
         (js.Modes.load, "still.h5", "holds a run, not natural frequencies: jaxshell.Solution.load reads it"),
@@ -164,6 +176,7 @@ def test_nothing_is_computed_where_nothing_can_be_written(folder, capsys, monkey
         ('analysis = "static"', ["--dt", "0.1"], 'dt is for analysis = "time", but the analysis is "static"'),
         ('analysis = "static"', ["--continue"], '--continue goes on with a run in time, but the analysis is "static"'),
         ("", ["--analysis", "buckling", "--method", "EMC"], 'method is for analysis = "time", but the analysis is "buck'),
+        ("", ["--analysis", "modes", "--vtkhdf"], '--vtkhdf is for runs in time, "static" and "arc-length", but'),
         ("", ["--count", "3"], 'count is for analysis = "modes" or "buckling", but the analysis is "time"'),
         ("", ["--analysis", "modes", "--preload", "0"], "preload must not be zero"),
         ("", ["--analysis", "modes", "--count", "900"], "count must be a whole number from 1 to 94"),

@@ -83,6 +83,10 @@ def test_cutback_and_what_is_kept_of_a_run_that_fails():
     kept = error.value.solution
     assert float(kept.times[1]) == 0.5 and kept.result != js.RESULTS.successful
     assert np.isfinite(np.asarray(kept.displacements)).all()
+    with pytest.warns(UserWarning, match="unstable"):
+        part = js.solve_static(scene, [0.5, 1e6], throw=False, save_every=5)
+    assert 3000 < float(part.times[-1]) < 1e6 and part.result != js.RESULTS.successful
+    assert np.array_equal(part.frame_times, np.asarray(part.times)[[0, 2]])  # where it ended is kept
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from strip import STRIP  # noqa: E402
 import jaxshell as js  # noqa: E402
 from jaxshell.command.cli import main  # noqa: E402
 from jaxshell.files.scene_file import scene_of  # noqa: E402
+from jaxshell.results.hdf5 import read_scene  # noqa: E402
 
 EXPLICIT = js.CentralDifference()
 RUN = {"method": EXPLICIT, "dt": 2e-4, "t_end": 0.02}
@@ -95,6 +96,12 @@ def test_the_file_holds_what_was_returned(swept, path):
             np.testing.assert_array_equal(getattr(found, name)[key], values)
     np.testing.assert_array_equal(found.result, swept.result)
     assert found.messages == swept.messages
+
+
+@pytest.mark.parametrize("read", [js.Solution.load, js.Modes.load, read_scene])
+def test_what_reads_a_run_names_a_sweep(swept, path, read):
+    with pytest.raises(ValueError, match=r"holds a sweep, not one run: jaxshell\.Sweep\.load reads it"):
+        read(path)
 
 
 def test_a_finished_sweep_runs_nothing_again(swept, path):
