@@ -147,7 +147,11 @@ def test_files_of_another_kind_are_named(folder, scene, static):
     js.Modes(jnp.ones(1), jnp.zeros((1, scene.mesh.n_nodes, 6))).save(folder / "one.h5", scene)
     static.to_vtkhdf(folder / "still.vtkhdf", "displacement")
     for read, name, message in (
-        (js.Solution.load, "still.vtkhdf", r"still\.vtkhdf is a VTKHDF file, for ParaView: name the result file that it"),
+        (
+            js.Solution.load,
+            "still.vtkhdf",
+            r"still\.vtkhdf is a VTKHDF file, for ParaView: name the result file that it",
+        ),
         (js.Solution.load, "one.h5", "holds natural frequencies, not a run: jaxshell.Modes.load reads it"),
         (js.BucklingModes.load, "one.h5", "holds natural frequencies, not buckling factors"),
         (js.Modes.load, "still.h5", "holds a run, not natural frequencies: jaxshell.Solution.load reads it"),
