@@ -1,4 +1,4 @@
-"""Mesh files as text, small: of gmsh, Abaqus, Nastran, VTK and OBJ, with sets."""
+"""Mesh files as text, small: of gmsh, Abaqus, Nastran, VTK and OBJ, with sets; how they are written and sets read."""
 
 GMSH22 = """$MeshFormat
 2.2 0 8
@@ -155,3 +155,12 @@ v 2 1 0
 g rib
 f 2//1 5//1 6//1 3//1
 """
+
+
+def written(folder, name: str, text: str):
+    (folder / name).write_text(text)
+    return folder / name
+
+
+def lists(sets) -> dict:
+    return {name: numbers.tolist() for name, numbers in sets.items()}

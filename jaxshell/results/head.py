@@ -34,8 +34,8 @@ def check_schema(file, path, holds: str | None = None) -> None:
     schema = file.attrs.get("schema")
     if kind == SWEEP:
         raise ValueError(
-            f"{path} holds a sweep, not one run: jaxshell.Sweep.load reads it, and `jaxshell sweep`, asked for the same "
-            "again, draws it."
+            f"{path} holds a sweep, not one run: jaxshell.Sweep.load reads it, and `jaxshell sweep` with the same "
+            "arguments draws it."
         )
     if kind != FORMAT:
         raise ValueError(f"{path} is an HDF5 file, but not one that jaxshell wrote.")
