@@ -15,8 +15,9 @@ jax.config.update("jax_enable_x64", True)
 def pytest_configure(config):
     """Programs are compiled in half the time: the tests' own as jaxshell's are, and all by LLVM without optimising.
 
-    The long tests run for longer than they compile: a little of it pays there. One test is marked slow for that alone:
-    that chunks of any length make the same run to the last bit is shown with optimised programs, as users have them.
+    The long tests run for longer than they compile: a little of it pays there. Two tests are marked slow for that alone:
+    that chunks of any length, and a run that goes on, make the same run to the last bit is shown with optimised
+    programs, as users have them.
     """
     level = 1 if {"slow", "evidence"} & set(re.findall(r"(?<!not )\b\w+", config.option.markexpr)) else 0
     options = {**OPTIONS, "xla_backend_optimization_level": level}

@@ -94,6 +94,7 @@ def test_rerun_of_a_result_file_gives_the_same(finished):
     assert one.stats["method"] == two.stats["method"]
 
 
+@pytest.mark.slow  # bit for bit: by optimised programs, see conftest.py
 @pytest.mark.parametrize(
     "method",
     [

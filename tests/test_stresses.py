@@ -327,7 +327,7 @@ def test_a_scene_file_watches_stresses(tmp_path):
     drawn = figures(back, ["von mises top", "Myy"])
     assert {"stress", "moment", "displacement", "von_mises_top", "Myy"} <= set(drawn) and "membrane_force" not in drawn
     assert any(axes.get_ylabel() == "Von Mises stress, top in Pa" for axes in drawn["von_mises_top"].axes)
-    assert drawn["moment"].axes[0].get_ylabel() == "root, $M_{xx}$"
+    assert drawn["moment"].axes[0].get_ylabel() == "root, $M_{xx}$ in N"
 
 
 # --- bad input -------------------------------------------------------------------------------------------------
