@@ -120,6 +120,7 @@ def test_a_run_goes_on_from_its_file(method, finished, tmp_path):
     assert rest.stats["method"] == whole.stats["method"] and rest.stats["newton"] == whole.stats["newton"]
 
 
+@pytest.mark.slow
 def test_a_run_that_was_stopped_goes_on_to_its_end(finished, tmp_path, capsys, monkeypatch):
     """The end that it was to have; a file whose run has ended asks for how long, and a scene for a file."""
     from jaxshell.results.hdf5 import ResultWriter

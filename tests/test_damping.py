@@ -90,7 +90,10 @@ def test_energy_momentum_records_exactly_what_it_removes(dissipation):
     assert np.all(np.diff(removed)[1:] > 0) and removed[-1] > 0.1 * np.asarray(solution.energy.total).max()
 
 
-@pytest.mark.parametrize("name", ["averaged", "generalized_alpha", "central_difference"])
+@pytest.mark.parametrize(
+    "name",
+    [*(pytest.param(n, marks=pytest.mark.slow) for n in ("averaged", "generalized_alpha")), "central_difference"],
+)
 def test_other_methods_record_what_they_remove_to_their_order(name):
     """The smooth forces leave few oscillations that a step does not resolve, which these methods damp by themselves."""
     method, count = METHODS[name], 200

@@ -119,6 +119,7 @@ def test_a_run_without_them_says_so():
         js.reactions(plain)
 
 
+@pytest.mark.slow
 def test_a_run_without_them_can_go_on_with_them():
     """They are not known at the start, and from the first step on those of a run that recorded them all along."""
     plain = run(METHODS["energy_momentum"], count=25, reactions=False)

@@ -118,6 +118,7 @@ def test_heat_on_a_set_strains_its_elements_only():
         assert np.array_equal(one, other) and np.abs(other[3:]).max() > 0
 
 
+@pytest.mark.slow
 def test_energy_is_balanced_under_pressure_on_a_set_and_its_file_knows_the_set(tmp_path):
     loads = [js.Pressure(30.0, js.History.ramp(0.02), elements="rib")]
     found = scene(supports=[js.clamped("clamp")], loads=loads)

@@ -163,6 +163,7 @@ def plate_13t(times, modes) -> np.ndarray:
     return total
 
 
+@pytest.mark.slow
 def test_nafems_13t():
     """NAFEMS' peak at the centre, 3.523 mm at 0.210 s, is that of the first mode alone (1.817 mm at rest, where the plate
     theory's sum is 1.774 mm). Against the whole series the peak is right within 0.5 % with 8 × 8 cells on the quarter.
