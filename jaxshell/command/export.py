@@ -80,6 +80,7 @@ def _target(options: argparse.Namespace, path: Path, suffix: str) -> Path:
             raise ValueError(
                 f"--output {output} is one file, but {len(options.files)} are to be exported: name a folder."
             )
+        output.parent.mkdir(parents=True, exist_ok=True)
         return output
     output.mkdir(parents=True, exist_ok=True)
     return output / f"{path.stem}{suffix}"
