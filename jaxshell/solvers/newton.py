@@ -1,8 +1,9 @@
 """Newton's iteration for one step: its settings, and the derivative of what it finds.
 
 The iteration ends when the correction that WOULD follow is predicted below the tolerance, from the contraction seen
-so far or from the residual, so that no solve is spent only to see that it was small. A failed iteration is a result
-with its numbers, never a NaN. There are two: `jaxshell.solvers.full_newton` and `jaxshell.solvers.chord_newton`.
+so far or from the residual, so that no solve is spent only to see that it was small; and when the energy that the step
+leaves unbalanced is within the tolerance of the work that it exchanges. A failed iteration is a result with its
+numbers, never a NaN. There are two: `jaxshell.solvers.full_newton` and `jaxshell.solvers.chord_newton`.
 """
 
 from collections.abc import Callable
@@ -19,8 +20,9 @@ class Newton(eqx.Module):
     """How a step's nonlinear equations are solved.
 
     Arguments:
-        tolerance: of the scaled correction (fraction of the shell's size, radians); with criterion="norm" of the
-            Euclidean norm of the raw correction ‖ΔQ‖, in the user's units.
+        tolerance: of the scaled correction (fraction of the shell's size, radians), and of the energy left unbalanced
+            (fraction of the work that elements and loads do in the step); with criterion="norm" of the Euclidean norm
+            of the raw correction ‖ΔQ‖ alone, in the user's units.
         max_iterations: corrections allowed in a step; and as many again where kept factorizations failed and the
             step is done anew without them.
         max_rotation: a correction is scaled down so that no nodal rotation in it exceeds this [rad].
