@@ -8,11 +8,12 @@ import pytest
 
 jax.config.update("jax_enable_x64", True)
 
+from stated import assert_alike, same  # noqa: E402
+
 import jaxshell as js  # noqa: E402
 from jaxshell.analyses.statics import solve_static  # noqa: E402
 from jaxshell.command.cli import main  # noqa: E402
 from jaxshell.files.scene_file import read_scene_file  # noqa: E402
-from tests.stated import assert_alike, same  # noqa: E402
 
 MESH = """*HEADING
 A plate of six nodes

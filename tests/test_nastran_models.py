@@ -8,10 +8,11 @@ import pytest
 
 jax.config.update("jax_enable_x64", True)
 
+from stated import assert_alike, same  # noqa: E402
+
 import jaxshell as js  # noqa: E402
 from jaxshell.command.cli import main  # noqa: E402
 from jaxshell.files.scene_file import read_scene_file  # noqa: E402
-from tests.stated import assert_alike, same  # noqa: E402
 
 CONTROL = """SOL {solution}
 CEND

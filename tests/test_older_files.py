@@ -31,7 +31,9 @@ def test_run_goes_on(name, method):
     np.testing.assert_allclose(rest.energy.external_work, whole.energy.external_work[20:], rtol=1e-8)
     if recorded:
         expected = np.asarray(js.reactions(whole))[20:]
-        np.testing.assert_allclose(js.reactions(rest), expected, atol=1e-6 * np.abs(expected).max())
+        # The file's state carries what its version's Newton left, 5e-11 in displacements whatever this one's tolerance
+        # is: in stiff directions 3e-6 of the largest reaction.
+        np.testing.assert_allclose(js.reactions(rest), expected, atol=1e-5 * np.abs(expected).max())
 
 
 def test_statics_knows_its_reactions():
