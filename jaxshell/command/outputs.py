@@ -3,15 +3,13 @@
 import argparse
 from pathlib import Path
 
-from jaxshell.results.output import Output
 
-
-def outputs(path: Path, options: argparse.Namespace) -> list[Output]:
+def outputs(path: Path, options: argparse.Namespace) -> list:
     """The result file, and what is asked for besides."""
     from jaxshell.results.export.vtkhdf import VTKHDFWriter
     from jaxshell.results.hdf5 import ResultWriter
 
-    found: list[Output] = [ResultWriter(path, overwrite=options.overwrite)]
+    found: list = [ResultWriter(path, overwrite=options.overwrite)]
     if options.vtkhdf:
         found.append(VTKHDFWriter(path.with_suffix(".vtkhdf"), overwrite=options.overwrite))
     return found
