@@ -202,7 +202,7 @@ class ImplicitMethod(Method):
         for acting, force in self.following(model, state, begun, motion):
             residual = residual - model.sum_over_nodes(acting, force)
             parts.append((force, u[acting.nodes]))
-        works = [jnp.sum((f.reshape(f.shape[0], -1) * d.reshape(f.shape[0], -1)), axis=1) for f, d in parts]
+        works = [jnp.sum(f.reshape(len(f), -1) * d.reshape(len(f), -1), axis=1) for f, d in parts]
         work = sum((jnp.sum(jnp.abs(w)) for w in works), jnp.zeros(()))
         halves = [f.reshape(-1, 2, 3) for f, _ in parts]
         force, moment = (jnp.max(jnp.stack([jnp.max(jnp.abs(f[:, k])) for f in halves])) for k in (0, 1))

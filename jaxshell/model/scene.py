@@ -15,6 +15,7 @@ from jaxshell.model.gauge import check_gauge, gauge_of
 from jaxshell.model.loads import InitialStrains, Load
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sections import AnySection, Regions
+from jaxshell.model.sets import check_on_mesh
 from jaxshell.model.supports import DOFS, Support
 from jaxshell.numerics.checks import (
     check_choice,
@@ -171,7 +172,7 @@ class Scene(eqx.Module):
             for position, item in enumerate(objects):
                 nodes = getattr(item, "nodes", None)
                 if nodes is not None:
-                    _check_nodes(f"{kind} {position}", nodes.array, n)
+                    check_on_mesh(f"{kind} {position}", "node", nodes.array, n)
         for label, number, component in self.watch:
             self._check_watched(f"watch {label!r}", number, component)
         for position, load in enumerate(self.loads):
@@ -188,17 +189,14 @@ class Scene(eqx.Module):
     def _check_watched(self, what: str, number: int, component):
         gauge = gauge_of(component)
         if gauge is None:
-            _check_nodes(what, np.array([number]), self.mesh.n_nodes)
+            check_on_mesh(what, "node", np.array([number]), self.mesh.n_nodes)
             if not isinstance(component, str) or component not in WATCHABLE:
                 raise ValueError(
                     f"{what} names {shown(component)}; choose out of {', '.join(WATCHABLE)} of a node, or of an "
                     'element a stress or section force such as "von mises top", "sxx bottom", "Mxx".'
                 )
             return
-        if not 0 <= number < self.mesh.n_elements:
-            raise ValueError(
-                f"{what} names element {number}, but the mesh has elements 0 to {self.mesh.n_elements - 1}."
-            )
+        check_on_mesh(what, "element", np.array([number]), self.mesh.n_elements)
         check_gauge(what, gauge, self.section, self.mesh, [number])
 
     def _check_prescribed_once(self):
@@ -313,12 +311,6 @@ def _check_defaults(defaults) -> None:
             raise ValueError(f"defaults.{name} must be a tuple, but it is {shown(getattr(defaults, name))}.")
     for time in defaults.picture_times:
         check_number("picture_times", time)
-
-
-def _check_nodes(what: str, nodes: np.ndarray, n_nodes: int) -> None:
-    outside = (nodes < 0) | (nodes >= n_nodes)
-    if outside.any():
-        raise ValueError(f"{what} names node {nodes[outside][0]}, but the mesh has nodes 0 to {n_nodes - 1}.")
 
 
 def _check_rotations(R: np.ndarray) -> None:

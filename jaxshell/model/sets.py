@@ -103,14 +103,24 @@ def elements_or_name(elements) -> Frozen | SetName | None:
     """Numbers of elements, each once, or the name of a set; None is all. Raises ValueError for anything else."""
     if elements is None or isinstance(elements, Frozen):
         return elements
-    if isinstance(elements, str):
-        return SetName(elements)
-    numbers = np.atleast_1d(whole_array("elements", elements))
+    return SetName(elements) if isinstance(elements, str) else element_numbers("elements", elements)
+
+
+def element_numbers(name: str, elements) -> Frozen:
+    """Numbers of elements, each once. Raises ValueError calling them `name` for anything else."""
+    numbers = np.atleast_1d(whole_array(name, elements))
     if numbers.ndim != 1 or not numbers.size:
-        raise ValueError(f"elements must be a list of numbers, at least one, but is {shown(elements)}.")
+        raise ValueError(f"{name} must be a list of numbers, at least one, but is {shown(elements)}.")
     if len(np.unique(numbers)) < len(numbers):
-        raise ValueError("elements names an element twice.")
+        raise ValueError(f"{name} names an element twice.")
     return Frozen(numbers)
+
+
+def check_on_mesh(what: str, kind: str, numbers: np.ndarray, count: int) -> None:
+    """Raise ValueError where `what` names a node or an element (`kind`) beyond the `count` that the mesh has."""
+    outside = (numbers < 0) | (numbers >= count)
+    if outside.any():
+        raise ValueError(f"{what} names {kind} {numbers[outside][0]}, but the mesh has {kind}s 0 to {count - 1}.")
 
 
 def size_of(where: Frozen | SetName) -> int | None:

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.model.history import History
 from jaxshell.model.mesh import Mesh
-from jaxshell.model.sets import OfSets, SetName
+from jaxshell.model.sets import OfSets, SetName, check_on_mesh
 from jaxshell.numerics.checks import check_finite, check_kind, check_shape
 from jaxshell.numerics.frozen import Frozen
 
@@ -61,8 +61,5 @@ def number_of_elements(elements: Frozen | SetName | None, mesh: Mesh) -> int:
     """How many elements of the mesh are meant; None is all. Raises ValueError for one that the mesh does not have."""
     if elements is None:
         return mesh.n_elements
-    outside = (elements.array < 0) | (elements.array >= mesh.n_elements)
-    if outside.any():
-        bad = elements.array[outside][0]
-        raise ValueError(f"elements names element {bad}, but the mesh has elements 0 to {mesh.n_elements - 1}.")
+    check_on_mesh("elements", "element", elements.array, mesh.n_elements)
     return len(elements.array)

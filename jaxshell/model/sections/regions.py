@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sections.base import AnySection, Layers, Patch, Resultants
-from jaxshell.numerics.checks import check_kind, shown, whole_array
+from jaxshell.model.sets import check_on_mesh, element_numbers
+from jaxshell.numerics.checks import check_kind, shown
 from jaxshell.numerics.frozen import Frozen
 
 
@@ -42,7 +43,10 @@ class Regions(AnySection):
             check_kind(f"section {name!r}", section, AnySection, "a section such as jaxshell.Section")
             if isinstance(section, Regions):
                 raise ValueError(f"section {name!r} is made of regions itself: give them one by one.")
-        self.elements = tuple(_numbers(name, e) for name, e in zip(names, elements, strict=True))
+        self.elements = tuple(
+            e if isinstance(e, Frozen) else element_numbers(f"elements of section {name!r}", e)
+            for name, e in zip(names, elements, strict=True)
+        )
         self.sections, self.names = tuple(sections), names
 
     @classmethod
@@ -116,12 +120,7 @@ class Regions(AnySection):
         owner = np.full(mesh.n_elements, -1)
         for k, (name, elements) in enumerate(zip(self.names, self.elements, strict=True)):
             numbers = elements.array
-            outside = (numbers < 0) | (numbers >= mesh.n_elements)
-            if outside.any():
-                raise ValueError(
-                    f"section {name!r} names element {numbers[outside][0]}, but the mesh has elements 0 to "
-                    f"{mesh.n_elements - 1}."
-                )
+            check_on_mesh(f"section {name!r}", "element", numbers, mesh.n_elements)
             both = numbers[owner[numbers] >= 0]
             if both.size:
                 raise ValueError(
@@ -134,17 +133,6 @@ class Regions(AnySection):
                 f"Element {int(np.argmax(owner < 0))} (and {int((owner < 0).sum()) - 1} others) belongs to no section."
             )
         return np.argsort(np.concatenate([e.array for e in self.elements]))
-
-
-def _numbers(name: str, elements) -> Frozen:
-    if isinstance(elements, Frozen):
-        return elements
-    numbers = np.atleast_1d(whole_array(f"elements of section {name!r}", elements))
-    if numbers.ndim != 1 or not numbers.size:
-        raise ValueError(f"elements of section {name!r} must be a list of numbers, at least one.")
-    if len(np.unique(numbers)) < len(numbers):
-        raise ValueError(f"elements of section {name!r} names an element twice.")
-    return Frozen(numbers)
 
 
 def _with_zeros(resultants: Resultants, name: str, shape: tuple[int, ...]) -> Resultants:
