@@ -219,11 +219,12 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
     internal = model.assemble_vector(jnp.einsum("mij,mj->mi", matrices, model.gather(moved).reshape(-1, 18)))
     loads = model.external_load(*at_rest, 1.0)
     elements = model.elements_at((1.0, 1.0))
-    if model.rests:
+    if model.rests or model.elastic:
         loads = loads - model.internal_force(*at_rest, 1.0)
-    K = model.assemble_matrix(matrices)
+    K = model.assemble_matrix(matrices, model.stiffness_of(model.elastic, *at_rest, 1.0))
     free = Linear(default_solver(), handle, model.units).solve_once(K, model.free(loads - internal))
-    u = model.gather(model.expand(free, held).reshape(n, 6))
+    nodal = model.expand(free, held).reshape(n, 6)
+    u = model.gather(nodal)
 
     def stress_stiffness(x, R, u, element):
         kin = corotational.kinematics(x, R, element)
@@ -235,7 +236,22 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
         return corotational.stiffness(kin, f, element, None, material=0.0)
 
     K_sigma = jax.vmap(stress_stiffness)(x, R, u, elements)
-    return K, model.assemble_matrix(K_sigma, model.following_stiffness(*at_rest, 1.0)), model.units
+    external = tuple(a for a in model.contributions if not a.is_elastic and not a.resists)
+    others = model.stiffness_of(external, *at_rest, 1.0) + _stressed(model, at_rest, nodal)
+    return K, model.assemble_matrix(K_sigma, others), model.units
+
+
+def _stressed(model: Model, at_rest, nodal: Float[Array, "n 6"]):
+    """What the linear solution `nodal` adds to the stiffness of elastic contributions, as of a spring it tightens."""
+
+    def along(acting):
+        def stiffness(part):
+            turned = jax.vmap(rotations.exp)(part * nodal[:, 3:]) @ at_rest[1]
+            return -acting.stiffness(acting.places(at_rest[0] + part * nodal[:, :3], turned, 1.0))
+
+        return jax.jvp(stiffness, (jnp.zeros(()),), (jnp.ones(()),))[1]
+
+    return [(acting, along(acting)) for acting in model.elastic]
 
 
 def mass_matrix(R: Float[Array, "3 3 3"], element: corotational.Element) -> Float[Array, "18 18"]:

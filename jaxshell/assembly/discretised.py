@@ -11,7 +11,7 @@ from jaxshell.assembly.gauges import Watching, watching
 from jaxshell.assembly.tables import Structure, Tables
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
-from jaxshell.model.contribution import Contribution, Place, Surface
+from jaxshell.model.contribution import Contribution, Elastic, Place, Resisting, Surface
 from jaxshell.model.damping import Damping
 from jaxshell.model.history import History
 from jaxshell.model.loads import DeadLoad
@@ -37,14 +37,33 @@ class Acting(eqx.Module):
         times = jnp.broadcast_to(time, self.nodes.shape[:1])
         return Place(x[self.nodes], R[self.nodes], times)
 
+    @property
+    def is_elastic(self) -> bool:
+        return isinstance(self.contribution, Elastic)
+
+    @property
+    def is_driven(self) -> bool:
+        return isinstance(self.contribution, Elastic) and self.contribution.driven
+
+    @property
+    def resists(self) -> bool:
+        return isinstance(self.contribution, Resisting)
+
     def forces(self, place: Place) -> Float[Array, "k c 6"]:
         return jax.vmap(self.contribution.force)(self.data, place)
 
+    def energy(self, place: Place) -> Float[Array, ""]:
+        """Of all groups of an elastic one."""
+        assert isinstance(self.contribution, Elastic)
+        return jnp.sum(jax.vmap(self.contribution.energy)(self.data, place))
+
+    def resistance(self, start: Place, end: Place, middle: Place, rates: Float[Array, "k c 6"]):
+        """(k, c, 6) of a resisting one."""
+        assert isinstance(self.contribution, Resisting)
+        return jax.vmap(self.contribution.resistance)(self.data, start, end, middle, rates)
+
     def stiffness(self, place: Place) -> Float[Array, "k d d"]:
         return jax.vmap(self.contribution.stiffness)(self.data, place)
-
-    def mean_forces(self, start: Place, end: Place) -> Float[Array, "k c 6"]:
-        return jax.vmap(self.contribution.mean_force)(self.data, start, end)
 
     def mean_stiffness(self, start: Place, end: Place) -> Float[Array, "k d d"]:
         return jax.vmap(self.contribution.mean_stiffness)(self.data, start, end)
@@ -184,30 +203,82 @@ class Model(eqx.Module):
             total = total + history(time) * pattern
         return total
 
-    def following_load(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, "n 6"]:
-        """Nodal forces and moments of all contributions at positions x and rotations R."""
+    @property
+    def elastic(self) -> tuple[Acting, ...]:
+        """The contributions that have an energy of their own."""
+        return tuple(acting for acting in self.contributions if acting.is_elastic)
+
+    @property
+    def driven(self) -> tuple[Acting, ...]:
+        """Those of them that are moved from outside."""
+        return tuple(acting for acting in self.contributions if acting.is_driven)
+
+    @property
+    def resisting(self) -> tuple[Acting, ...]:
+        """The contributions that take energy."""
+        return tuple(acting for acting in self.contributions if acting.resists)
+
+    @property
+    def dissipates(self) -> bool:
+        """Static: whether the scene has damping, or contributions that take energy."""
+        return self.damping is not None or bool(self.resisting)
+
+    def sum_of(self, actings: tuple[Acting, ...], x, R, time) -> Float[Array, "n 6"]:
+        """Nodal forces and moments of some contributions at positions x and rotations R."""
         total = jnp.zeros((self.x0.shape[0], 6))
-        for acting in self.contributions:
+        for acting in actings:
             total = total + self.sum_over_nodes(acting, acting.forces(acting.places(x, R, time)))
         return total
+
+    def following_load(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, "n 6"]:
+        """Nodal forces and moments of all contributions at positions x and rotations R."""
+        return self.sum_of(tuple(a for a in self.contributions if not a.resists), x, R, time)
 
     def external_load(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, "n 6"]:
         """All loads at `time`."""
         load = self.dead_load(time)
-        return load + self.following_load(x, R, time) if self.contributions else load
+        following = tuple(a for a in self.contributions if not a.is_elastic and not a.resists)
+        return load + self.sum_of(following, x, R, time) if following else load
 
     def following_stiffness(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time):
         """Derivative of `following_load` by displacements and spins, for `assemble_matrix`, and negative, as it stands
         in the stiffness."""
-        return [(acting, -acting.stiffness(acting.places(x, R, time))) for acting in self.contributions]
+        return self.stiffness_of(tuple(a for a in self.contributions if not a.resists), x, R, time)
+
+    def stiffness_of(self, actings: tuple[Acting, ...], x, R, time) -> list[tuple[Acting, Float[Array, "k d d"]]]:
+        """The same of some contributions."""
+        return [(acting, -acting.stiffness(acting.places(x, R, time))) for acting in actings]
+
+    def resistance(self, before: tuple, after: tuple, rates: Float[Array, "n 6"]) -> Float[Array, "n 6"]:
+        """Nodal forces and moments of what resists, at the end of a step, (x, R, time) each, with these rates."""
+        total = jnp.zeros((self.x0.shape[0], 6))
+        for acting in self.resisting:
+            start, end = acting.places(*before), acting.places(*after)
+            total = total + self.sum_over_nodes(acting, acting.resistance(start, end, end, rates[acting.nodes]))
+        return total
 
     def strain_energy(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, ""]:
-        """Strain energy of the shell, eq. (61) summed over the elements."""
+        """Strain energy of the shell, eq. (61) summed over the elements, and the energy of elastic contributions."""
 
         def one(x, R, element):
             return corotational.strain_energy(corotational.kinematics(x, R, element).deformations, element)
 
-        return jnp.sum(jax.vmap(one)(self.gather(x), self.gather(R), self.elements_at((1.0, time))))
+        total = jnp.sum(jax.vmap(one)(self.gather(x), self.gather(R), self.elements_at((1.0, time))))
+        return total + self.energy_of(self.elastic, x, R, time) if self.elastic else total
+
+    def energy_of(self, actings: tuple[Acting, ...], x, R, time) -> Float[Array, ""]:
+        """Energy of some elastic contributions."""
+        return sum((acting.energy(acting.places(x, R, time)) for acting in actings), jnp.zeros(()))
+
+    def work_of_drives(self, before: tuple, after: tuple, u) -> Float[Array, ""]:
+        """Work done in a step by what moves elastic contributions from outside, by the trapezoidal rule.
+
+        `before` and `after` are (x, R, time): the change of their energy and what they do on the increments u.
+        """
+        if not self.driven:
+            return jnp.zeros(())
+        change = self.energy_of(self.driven, *after) - self.energy_of(self.driven, *before)
+        return change + 0.5 * jnp.sum((self.sum_of(self.driven, *before) + self.sum_of(self.driven, *after)) * u)
 
     def work_of_rests(self, before: tuple, after: tuple) -> Float[Array, ""]:
         """Work done by initial strains that change in a step, -Δe⁰·f with the mean stresses f of its ends.
@@ -227,10 +298,11 @@ class Model(eqx.Module):
         return -0.5 * jnp.sum(change * (stresses(*before) + stresses(*after)))
 
     def internal_force(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, "n 6"]:
-        """Nodal internal forces and moments, eq. (70) assembled."""
-        return self.assemble_vector(
+        """Nodal internal forces and moments, eq. (70) assembled, and those of elastic contributions."""
+        total = self.assemble_vector(
             jax.vmap(corotational.internal_force)(self.gather(x), self.gather(R), self.elements_at((1.0, time)))
         )
+        return total - self.sum_of(self.elastic, x, R, time) if self.elastic else total
 
 
 def rest_deformations(scene: Scene, elements: Element) -> tuple[Float[Array, "m 12"], ...]:

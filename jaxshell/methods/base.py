@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from jaxshell.assembly.discretised import Acting, Model
 from jaxshell.gradients import keep
 from jaxshell.methods.predictor import extrapolate
-from jaxshell.model.contribution import Place
+from jaxshell.model.contribution import Contribution, Place, Resisting, between
 from jaxshell.numerics.batching import one_by_one
 from jaxshell.numerics.checks import is_concrete
 from jaxshell.numerics.rotations import H_inverse, exp
@@ -143,6 +143,8 @@ class ImplicitMethod(Method):
 
     balances_means: ClassVar[bool] = False
     """Contributions enter with their means over the step; else with their forces at its end."""
+    has_rates: ClassVar[bool] = True
+    """Whether anything moves in time: else nothing resists."""
 
     # --- for one node or one element -----------------------------------------------------------------------
 
@@ -184,9 +186,18 @@ class ImplicitMethod(Method):
     def weight_at_end(self, step) -> Any:
         """What the forces of contributions at the end of the step count in the balance; `step` as `begin` gives it.
 
-        What they count at its start stands in the loads of `begin`.
+        What they count at its start stands in the loads of `begin`. It is also where between the ends of the step
+        the balance stands.
         """
         return 1.0
+
+    def rates_at(self, state, begun: "Begun", u: Float[Array, "n 6"]) -> Float[Array, "n 6"]:
+        """Velocities and angular velocities where the balance stands, for what resists the motion.
+
+        From the mean rates of this step and the last one, of second order where steps are equal.
+        """
+        mean = u / (begun.end - state.time)
+        return mean + (self.weight_at_end(begun.step) - 0.5) * (mean - state.rates[0])
 
     def motion(self, state, u: Float[Array, "n 6"]) -> Motion:
         """Motion of all nodes."""
@@ -199,7 +210,7 @@ class ImplicitMethod(Method):
         forces = jax.vmap(self.element_forces, in_axes=(0, 0, 0, None))(model.gather(motion), corners, data, step)
         residual = model.assemble_vector(forces.elastic + forces.inertial) - loads
         parts = [(forces.elastic, corners), (forces.inertial, corners), (loads, u)]
-        for acting, force in self.following(model, state, begun, motion):
+        for acting, force in self.following(model, state, begun, motion, u):
             residual = residual - model.sum_over_nodes(acting, force)
             parts.append((force, u[acting.nodes]))
         works = [jnp.sum(f.reshape(len(f), -1) * d.reshape(len(f), -1), axis=1) for f, d in parts]
@@ -223,34 +234,82 @@ class ImplicitMethod(Method):
         corners = model.gather((u, *self.configuration(state)))
         return jax.vmap(jax.jacfwd(forces))(corners[0].reshape(-1, 18), corners[1], corners[2], data)
 
-    def following(self, model: Model, state, begun: Begun, motion: Motion) -> list[tuple[Acting, Any]]:
+    def following(self, model: Model, state, begun: Begun, motion: Motion, u) -> list[tuple[Acting, Any]]:
         """The contributions and their forces (k, c, 6) on each group, as they stand in the balance."""
         found = []
-        for acting in model.contributions:
+        rates = self._rates(model, state, begun, u)
+        for acting in self.acting(model):
             start, end = self._places(model, acting, state, begun, motion)
-            if self.balances_means:
-                found.append((acting, acting.mean_forces(start, end)))
-            else:
-                found.append((acting, self.weight_at_end(begun.step) * acting.forces(end)))
+            found.append((acting, self._group_forces(acting, start, end, rates, begun.step)))
         return found
 
+    def acting(self, model: Model) -> tuple[Acting, ...]:
+        """The contributions that stand in the balance."""
+        return tuple(a for a in model.contributions if self.has_rates or not a.resists)
+
+    def _rates(self, model: Model, state, begun: Begun, u) -> Any:
+        return self.rates_at(state, begun, u) if self.has_rates and model.resisting else None
+
+    def _group_forces(self, acting: Acting, start: Place, end: Place, rates, step) -> Float[Array, "k c 6"]:
+        """What a contribution puts into the balance, on each group."""
+        own = rates[acting.nodes] if acting.resists else None
+        on_group = jax.vmap(self._on_group, in_axes=(None, 0, 0, 0, 0, None))
+        return on_group(acting.contribution, acting.data, start, end, own, step)
+
+    def _on_group(self, contribution: Contribution, data, start: Place, end: Place, rates, step):
+        """The same on one group (c, 6); `rates` are of its nodes, None but for what resists."""
+        if isinstance(contribution, Resisting):
+            return contribution.resistance(data, start, end, between(start, end, self.weight_at_end(step)), rates)
+        if self.balances_means:
+            return contribution.mean_force(data, start, end)
+        return self.weight_at_end(step) * contribution.force(data, end)
+
     def work_of_loads(self, model: Model, state, begun: Begun, motion: Motion, u) -> Float[Array, ""]:
-        """Work of the loads, the contributions and the moving supports of the balance on the increments u."""
+        """External work on the increments u, as the balance has it: of loads, of moving supports and of what moves
+        elastic contributions."""
         work = jnp.sum(begun.loads * u)
-        for acting, force in self.following(model, state, begun, motion):
-            work = work + jnp.sum(force * u[acting.nodes])
+        for acting, force in self.following(model, state, begun, motion, u):
+            done = jnp.sum(force * u[acting.nodes])
+            if acting.is_elastic:
+                work = work + self._work_of_drive(model, acting, state, begun, motion, u, done)
+            elif not acting.resists:
+                work = work + done
         if model.moving:
             # Supports that move work with the reaction, the residual at the held degrees of freedom.
             reaction = self.balance(model, state, begun, u).residual.reshape(-1)[model.tables.held]
             work = work + jnp.sum(reaction * u.reshape(-1)[model.tables.held])
         return work
 
+    def taken(self, model: Model, state, begun: Begun, motion: Motion, u) -> Float[Array, ""]:
+        """Energy taken in the step by what resists, from mean velocities: never negative, and of second order.
+
+        Exact where the balance stands in the middle of the step.
+        """
+        rates, total = u / (begun.end - state.time), jnp.zeros(())
+        for acting in model.resisting:
+            start, end = self._places(model, acting, state, begun, motion)
+            forces = acting.resistance(start, end, between(start, end), rates[acting.nodes])
+            total = total - jnp.sum(forces * u[acting.nodes])
+        return total
+
+    def _work_of_drive(self, model: Model, acting: Acting, state, begun: Begun, motion: Motion, u, done):
+        """External work at an elastic contribution, whose forces at the end do the work `done`: what drives it.
+
+        The loads of the balance hold its forces at the start, where they are no mean: their work is taken out again.
+        """
+        start, end = self._places(model, acting, state, begun, motion)
+        of_start = jnp.zeros(())
+        if not self.balances_means:
+            forces = (1.0 - self.weight_at_end(begun.step)) * acting.forces(start)
+            of_start = jnp.sum(forces * u[acting.nodes])
+        return acting.energy(end) - acting.energy(start) + done if acting.is_driven else -of_start
+
     def following_matrices(self, model: Model, state, begun: Begun, u, tangent: str) -> list[tuple[Acting, Any]]:
         """What `following` adds to the tangent: matrices (k, 6c, 6c) by the increments u."""
         motion, found = self.motion(state, u), []
-        for acting in model.contributions:
+        for acting in self.acting(model):
             start, end = self._places(model, acting, state, begun, motion)
-            if tangent == "autodiff":
+            if tangent == "autodiff" or acting.resists:
                 K = self._differentiated(model, acting, state, begun, u)
             elif self.balances_means:
                 K = by_increments(acting.mean_stiffness(start, end), motion.spin[acting.nodes])
@@ -269,18 +328,22 @@ class ImplicitMethod(Method):
         """The matrices of a contribution by `jax.jacfwd`, the reference."""
         x, R = self.configuration(state)
         offset = self.positions(model, x) - x
+        # Rates change with the increments alike at every node.
+        rates = slope = jnp.zeros((x.shape[0], 6))
+        if acting.resists:
+            rates, slope = jax.jvp(lambda u: self.rates_at(state, begun, u), (u,), (jnp.ones_like(u),))
 
-        def force(u, x, R, offset, start, data):
+        def force(u, x, R, offset, start, data, before, rates, slope):
             motion = jax.vmap(self.node_motion)(u.reshape(-1, 6), x, R)
             end = Place(motion.x + offset, motion.R, begun.end)
-            if self.balances_means:
-                return acting.contribution.mean_force(data, start, end).reshape(-1)
-            return self.weight_at_end(begun.step) * acting.contribution.force(data, end).reshape(-1)
+            rates = rates + slope * (u.reshape(-1, 6) - before)
+            return self._on_group(acting.contribution, data, start, end, rates, begun.step).reshape(-1)
 
         nodes = acting.nodes
         start = acting.places(self.positions(model, x), R, state.time)
         groups = u[nodes].reshape(nodes.shape[0], -1)
-        return jax.vmap(jax.jacfwd(force))(groups, x[nodes], R[nodes], offset[nodes], start, acting.data)
+        more = start, acting.data, u[nodes], rates[nodes], slope[nodes]
+        return jax.vmap(jax.jacfwd(force))(groups, x[nodes], R[nodes], offset[nodes], *more)
 
     def tangent(self, model: Model, state, begun: Begun, u, last, tangent: str) -> Float[Array, " nnz"]:
         """Values of the sparse tangent at the iterate u, reached from `last`; None for the exact one."""

@@ -130,11 +130,13 @@ class CentralDifference(Method):
         mass, rates = lumped_mass(model), jnp.concatenate([v, omega], axis=1)
         internal, strain, deformations = _internal(model, x, R, time)
         damped = None
-        if model.damping is not None:
+        if model.dissipates:
             damped = Damped(zero, _nodal_alpha(model, mass), deformations)
-            if model.damping.beta is not None:
-                rates_of_e = damping.stretching(model, x, R, v, omega)
-                internal = internal + damping.viscous_force(model, x, R, rates_of_e)
+        if model.resisting:
+            internal = internal - model.resistance((x, R, time), (x, R, time), rates)
+        if model.damping is not None and model.damping.beta is not None:
+            rates_of_e = damping.stretching(model, x, R, v, omega)
+            internal = internal + damping.viscous_force(model, x, R, rates_of_e)
         energy = strain + 0.5 * jnp.sum(mass * rates**2)
         return ExplicitState(  # pyright: ignore[reportCallIssue]  # v is a property
             time=time,
@@ -167,12 +169,18 @@ class CentralDifference(Method):
         x, R = state.x + u[:, :3], jnp.einsum("nij,njk->nik", jax.vmap(exp)(u[:, 3:]), state.R)
         before = None if state.damped is None else state.damped.deformations
         load, (internal, strain, deformations) = model.external_load(x, R, end), _internal(model, x, R, end, before, dt)
+        resisted = None
+        ends = (state.x, state.R, state.time), (x, R, end)
+        if model.resisting:
+            # With the velocities of the half step, which the next kick would change: explicit.
+            resisted = model.resistance(*ends, middle)
+            internal = internal - resisted
         rates = middle + 0.5 * dt * acceleration(load, internal)
         if alpha is not None:
             rates = rates / (1.0 + 0.5 * dt * alpha)
         # Work by the trapezoidal rule; that of a moving support is done on the shell and on the mass it carries.
         work = state.external_work + 0.5 * jnp.sum((state.load + load) * u)
-        work = work + model.work_of_rests((state.x, state.R, state.time), (x, R, end))
+        work = work + model.work_of_rests(*ends) + model.work_of_drives(*ends, u)
         if model.moving:
             against = 0.5 * (state.internal + internal - state.load - load) * u
             if model.damping is not None and model.damping.alpha is not None:
@@ -194,7 +202,7 @@ class CentralDifference(Method):
             initial_energy=state.initial_energy,
             supplied=supplied,
             mass=mass,
-            damped=_damped(model, state, u, deformations, dt),
+            damped=_damped(model, state, u, deformations, dt, resisted),
         )
         # Written so that NaN fails too.
         stable = new.kinetic + strain <= _EXPLOSION * supplied
@@ -252,23 +260,31 @@ def _internal(model: Model, x, R, time, before=None, dt=None) -> tuple[Float[Arr
 
     elements = model.elements_at((1.0, time))
     force, energy, deformations = jax.vmap(one)(model.gather(x), model.gather(R), elements, beta, before)
-    return model.assemble_vector(force), jnp.sum(energy), deformations
+    total, energy = model.assemble_vector(force), jnp.sum(energy)
+    if model.elastic:
+        total = total - model.sum_of(model.elastic, x, R, time)
+        energy = energy + model.energy_of(model.elastic, x, R, time)
+    return total, energy, deformations
 
 
 def _nodal_alpha(model: Model, mass: Float[Array, "n 6"]) -> Float[Array, "n 6"] | None:
     """α of each degree of freedom that is free, from the lumped masses of the elements around its node."""
-    assert model.damping is not None
-    if model.damping.alpha is None:
+    if model.damping is None or model.damping.alpha is None:
         return None
     ratio = _lumped(model, model.damping.alpha) / mass
     return ratio.reshape(-1).at[model.tables.held].set(0.0).reshape(-1, 6)
 
 
-def _damped(model: Model, state: ExplicitState, u, deformations, dt) -> Damped | None:
-    """The state of damping after a step with the increments u, with what it has removed."""
-    if model.damping is None or state.damped is None:
+def _damped(model: Model, state: ExplicitState, u, deformations, dt, resisted) -> Damped | None:
+    """The state of damping after a step with the increments u, with what it and the forces `resisted` have removed."""
+    if state.damped is None:
         return None
-    (alpha, beta), removed = model.damping, state.damped.dissipated
+    removed = state.damped.dissipated
+    if resisted is not None:
+        removed = removed - jnp.sum(resisted * u)
+    if model.damping is None:
+        return Damped(removed, None, None)
+    alpha, beta = model.damping
     if alpha is not None:
         removed = removed + jnp.sum(_lumped(model, alpha) * u * u) / dt
     if beta is not None:

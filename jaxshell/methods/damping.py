@@ -79,10 +79,10 @@ def alpha_of(damped: Damped | None) -> Any:
 
 
 def initial_state(model: Model, x, R, v, omega, a) -> DampedState | None:
-    """At the start, with accelerations `a` (n, 3); rotations start without. None for a scene without damping."""
-    if model.damping is None:
+    """At the start, with accelerations `a` (n, 3); rotations start without. None where nothing takes energy."""
+    if not model.dissipates:
         return None
-    if model.damping.beta is None:
+    if model.damping is None or model.damping.beta is None:
         return DampedState(jnp.zeros(()), None)
     rates = Rates(stretching(model, x, R, v, omega), stretching(model, x, R, a, jnp.zeros_like(a)))
     return DampedState(jnp.zeros(()), rates)
@@ -96,17 +96,25 @@ def begin(model: Model, state: DampedState | None, x, R) -> Damped | None:
     return Damped(alpha, beta, None if beta is None else deformations(model, x, R), state.rates)
 
 
-def finish(state: DampedState | None, model: Model, damped: Damped | None, motion, u, turning, factors: StepFactors):
-    """The state at the end of the step; `turning` (m,) is Σ θ·I_ρ θ of the step's rotations in each element."""
-    if state is None or damped is None:
+def finish(
+    state: DampedState | None, model: Model, damped: Damped | None, motion, u, turning, factors: StepFactors, taken
+):
+    """The state at the end of the step.
+
+    `turning` (m,) is Σ θ·I_ρ θ of the step's rotations in each element, `taken` the energy that contributions took.
+    """
+    if state is None:
         return None
+    if damped is None:
+        return DampedState(state.dissipated + taken, None)
     change = rates = None
     if damped.beta is not None:
         change = deformations(model, motion.x, motion.R) - damped.deformations
         start = damped.rates
         first, second = (f(change, start.first, start.second) for f in (factors.first, factors.second))
         rates = Rates(first, second)
-    return DampedState(state.dissipated + removed(model, u, change, turning, factors.dt), rates)
+    total = state.dissipated + removed(model, u, change, turning, factors.dt)
+    return DampedState(total + taken if model.resisting else total, rates)
 
 
 def removed(model: Model, u: Float[Array, "n 6"], change, turning, dt) -> Float[Array, ""]:

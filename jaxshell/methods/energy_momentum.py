@@ -125,6 +125,9 @@ class EnergyMomentum(ImplicitMethod):
 
     # --- the shell -----------------------------------------------------------------------------------------
 
+    def weight_at_end(self, step: Shared):
+        return 0.5
+
     def predict(self, model: Model, state: EnergyMomentumState, dt) -> Float[Array, "n 6"]:
         """Extrapolation of the last steps, or a start without new strains where that leaves a smaller residual.
 
@@ -198,6 +201,8 @@ class EnergyMomentum(ImplicitMethod):
         work = self.work_of_loads(model, state, begun, motion, u)
         work = work + model.work_of_rests((state.x, state.R, state.time), (motion.x, motion.R, begun.end))
         dissipated = state.dissipated
+        if model.resisting:
+            dissipated = dissipated + self.taken(model, state, begun, motion, u)
         if model.damping is not None:
             dissipated = dissipated + self._removed(model, data, step, u, motion)
         elif self._dissipates:

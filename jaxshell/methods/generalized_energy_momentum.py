@@ -202,6 +202,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         elif self.inertia == "traditional":
             spins = jax.vmap(inertia.end_of_step, in_axes=(0, 0, None))(motion.theta, spins, factors)
         work = self.work_of_loads(model, state, begun, motion, u)
+        taken = self.taken(model, state, begun, motion, u)
         work = work + model.work_of_rests((state.x, state.R, state.time), (motion.x, motion.R, begun.end))
         turning = self._turning(model, u, state.spins)
         return GEMState(
@@ -213,7 +214,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             spins=spins,
             external_work=state.external_work + work,
             rates=predictor.remember(state.rates, u, dt),
-            damped=damping.finish(state.damped, model, begun.data.damped, motion, u, turning, factors),
+            damped=damping.finish(state.damped, model, begun.data.damped, motion, u, turning, factors, taken),
         )
 
     def _turning(self, model: Model, u, spins) -> Any:

@@ -106,6 +106,9 @@ class ForceLevelMethod(ImplicitMethod):
             force = model.internal_force(x, R, time) - model.external_load(x, R, jnp.asarray(time))
             if model.damping is not None:
                 force = force + damping.initial_force(model, x, R, v, omega)
+            if model.resisting:
+                here = x, R, jnp.asarray(time)
+                force = force - model.resistance(here, here, jnp.concatenate([v, omega], axis=1))
             reaction = force.reshape(-1)[model.tables.held]
         a = initial_translational_acceleration(model, x, R, time, v, omega)
         return NewmarkState(
@@ -142,13 +145,15 @@ class ForceLevelMethod(ImplicitMethod):
         ends = model.external_load(state.x, state.R, state.time)
         ends = ends + model.external_load(motion.x, motion.R, begun.end)
         work, reaction = 0.5 * jnp.sum(ends * u), state.reaction
-        work = work + model.work_of_rests((state.x, state.R, state.time), (motion.x, motion.R, begun.end))
+        ends = (state.x, state.R, state.time), (motion.x, motion.R, begun.end)
+        work = work + model.work_of_rests(*ends) + model.work_of_drives(*ends, u)
         if model.moving:
             # The balance gives the reaction at t_{n+1-αf}; brought to the middle of the step, linearly.
             reaction = self.balance(model, state, begun, u).residual.reshape(-1)[model.tables.held]
             middle = (0.5 + factors.alpha_f) * reaction + (0.5 - factors.alpha_f) * state.reaction
             work = work + jnp.sum(middle * u.reshape(-1)[model.tables.held])
         turning = damping.turning_of_points(model, u, state.spins)
+        taken = self.taken(model, state, begun, motion, u)
         return NewmarkState(
             time=begun.end,
             x=motion.x,
@@ -159,7 +164,7 @@ class ForceLevelMethod(ImplicitMethod):
             external_work=state.external_work + work,
             reaction=reaction,
             rates=predictor.remember(state.rates, u, dt),
-            damped=damping.finish(state.damped, model, begun.data.damped, motion, u, turning, factors),
+            damped=damping.finish(state.damped, model, begun.data.damped, motion, u, turning, factors, taken),
         )
 
     def observe(self, model: Model, state: NewmarkState) -> Observation:

@@ -39,6 +39,8 @@ def initial_translational_acceleration(
     force = model.external_load(x, R, time) - model.internal_force(x, R, time)
     if model.damping is not None:
         force = force - damping.initial_force(model, x, R, v, omega)
+    if model.resisting:
+        force = force + model.resistance((x, R, time), (x, R, time), jnp.concatenate([v, omega], axis=1))
     is_free = jnp.zeros(6 * n).at[model.tables.free].set(1.0).reshape(n, 6)[:, :3]
     mass = model.elements.mass_per_area * model.elements.area
 

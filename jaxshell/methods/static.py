@@ -16,7 +16,7 @@ plus differences of d. Positions X + d would round d off by 1e-16 |X|, which the
 forces: a thin shell of many elements under a small load is then out of balance by more than 1e-9 of the load.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -61,6 +61,8 @@ class ElementData(NamedTuple):
 
 class Static(ImplicitMethod):
     """Static equilibrium; `solve_static` runs it, with the scene's loads in proportion to the load factor."""
+
+    has_rates: ClassVar[bool] = False
 
     def element_forces(self, motion, u, data: ElementData, step) -> Forces:
         x = _corners(motion.x, data.edges)
@@ -130,7 +132,8 @@ class Static(ImplicitMethod):
             carried = reactions_at(model, state.d, state.R, state.time)
             force = force + 0.5 * (carried + reactions_at(model, motion.x, motion.R, end))
         work = state.external_work + jnp.sum(force * u)
-        work = work + model.work_of_rests((before, state.R, state.time), (after, motion.R, end))
+        ends = (before, state.R, state.time), (after, motion.R, end)
+        work = work + model.work_of_rests(*ends) + model.work_of_drives(*ends, u)
         return StaticState(
             time=end,
             d=motion.x,

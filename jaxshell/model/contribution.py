@@ -8,6 +8,12 @@ Time integration sees it in two ways. The methods at force level (`Newmark`, cen
 paper's) take `force` at the ends of the step. `EnergyMomentum` takes `mean_force` over the step, whose work on the
 step's increments is what the energy balance holds: the energy of the shell changes by exactly that, whatever the
 contribution is; a `mean_force` that is also the mean in time of the force makes it second order.
+
+What a contribution does to the energy is its class: the work of a plain `Contribution` is external work; `Elastic` has
+an energy of its own, which counts with the strain energy; `Resisting` takes energy, which counts as dissipated.
+
+Exact energy comes from one fact. For a function g that is at most quadratic in positions and rotation matrices, its
+derivative at their means over the step, with δR = ~δω R̄, times the step's increments (Δx, Cayley vectors θ) is Δg.
 """
 
 import abc
@@ -21,7 +27,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.numerics.frozen import Frozen
-from jaxshell.numerics.rotations import exp
+from jaxshell.numerics.rotations import exp, skew
 
 
 class Surface(NamedTuple):
@@ -45,6 +51,10 @@ class Place(NamedTuple):
 
 class Contribution(eqx.Module):
     """Forces on groups of nodes that follow the motion. Each of the loads, joints, ... that do is one."""
+
+    def parts(self) -> tuple["Contribution", ...]:
+        """What the methods sum: itself, where it is one thing."""
+        return (self,)
 
     @abc.abstractmethod
     def groups(self, triangles: np.ndarray) -> Frozen:
@@ -71,12 +81,94 @@ class Contribution(eqx.Module):
         return _derivative(lambda end: self.mean_force(data, start, end), end)
 
 
+class Elastic(Contribution):
+    """Forces with a potential: its energy counts with the strain energy, and their work is no external work.
+
+    `mean_force` must do the work of the change of the energy, exactly, on the increments of a step.
+    """
+
+    @property
+    def driven(self) -> bool:
+        """Static: whether time enters the energy, as by an anchor that moves. What moves it then does work."""
+        return False
+
+    @abc.abstractmethod
+    def energy(self, data, place: Place) -> Float[Array, ""]:
+        """Of one group [force·length]."""
+
+    def force(self, data, place: Place) -> Float[Array, "c 6"]:
+        """Minus the derivative of the energy by displacements and spins."""
+        still = jnp.zeros(6 * place.x.shape[0])
+        return -jax.grad(lambda change: self.energy(data, displaced(place, change)))(still).reshape(-1, 6)
+
+    @abc.abstractmethod
+    def mean_force(self, data, start: Place, end: Place) -> Float[Array, "c 6"]:
+        """Force and moment over a step, whose work on its increments is minus the change of the energy."""
+
+
+class Resisting(Contribution):
+    """Forces against the motion, by the rates of the nodes: what they take counts as dissipated energy."""
+
+    @abc.abstractmethod
+    def resistance(
+        self, data, start: Place, end: Place, middle: Place, rates: Float[Array, "c 6"]
+    ) -> Float[Array, "c 6"]:
+        """Force and moment on every node of one group, where the balance of a step stands.
+
+        `start` and `end` are the ends of the step and `middle` the place of the balance between them, whose R are
+        weighted means and no rotations. `rates` are velocities and angular velocities there: in `EnergyMomentum` the
+        increments of the step over Δt. Energy is never made where -force·rates >= 0.
+        """
+
+    def force(self, data, place: Place) -> Float[Array, "c 6"]:
+        """None at rest."""
+        return jnp.zeros((place.x.shape[0], 6))
+
+
+def displaced(place: Place, change: Float[Array, " d"]) -> Place:
+    """A group after displacements and spins (δx, δω)."""
+    change = change.reshape(-1, 6)
+    turned = jax.vmap(lambda spin, R: exp(spin) @ R)(change[:, 3:], place.R)
+    return place._replace(x=place.x + change[:, :3], R=turned)
+
+
+def between(start: Place, end: Place, weight: Any = 0.5) -> Place:
+    """The weighted mean of two places, `weight` that of the end; its R are no rotations."""
+    return jax.tree.map(lambda a, b: (1.0 - weight) * a + weight * b, start, end)
+
+
+def gradient_between(function: Callable, place: Place) -> Float[Array, "*s c 6"]:
+    """Derivative of function(place), a scalar or several, at a weighted mean of places, by δx and δω, δR = ~δω R."""
+
+    def moved(change):
+        turned = place.R + jax.vmap(lambda spin, R: skew(spin) @ R)(change[:, 3:], place.R)
+        return function(place._replace(x=place.x + change[:, :3], R=turned))
+
+    return jax.jacrev(moved)(jnp.zeros((place.x.shape[0], 6)))
+
+
+def secant(function: Callable, before, after) -> Float[Array, ""]:
+    """(f(after) - f(before))/(after - before) of a smooth scalar function, to all digits.
+
+    For a small change it is the mean of f' by Gauss's rule with three points, whose error is below round-off.
+    """
+    change, middle = after - before, 0.5 * (before + after)
+    near = jnp.abs(change) <= _NEAR * (jnp.abs(before) + jnp.abs(after))
+    safe = jnp.where(near, 1.0, change)
+    slope = jax.grad(function)
+    mean = sum(w * slope(middle + 0.5 * p * change) for p, w in zip(*_GAUSS, strict=True))
+    return jnp.where(near, mean, (function(after) - function(before)) / safe)
+
+
+_NEAR = 0.01
+"""Changes below this part of a value are small."""
+_GAUSS = ((-np.sqrt(0.6), 0.0, np.sqrt(0.6)), (5.0 / 18.0, 8.0 / 18.0, 5.0 / 18.0))
+
+
 def _derivative(force: Callable[[Place], Array], place: Place) -> Float[Array, "d d"]:
     """Of `force` by displacements and spins (δx, δω) of the group at `place`."""
 
     def moved(change):
-        change = change.reshape(-1, 6)
-        turned = jax.vmap(lambda spin, R: exp(spin) @ R)(change[:, 3:], place.R)
-        return force(place._replace(x=place.x + change[:, :3], R=turned)).reshape(-1)
+        return force(displaced(place, change)).reshape(-1)
 
     return jax.jacfwd(moved)(jnp.zeros(6 * place.x.shape[0]))

@@ -9,11 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxshell.model.connectors import Connector
 from jaxshell.model.contribution import Contribution
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.gauge import check_gauge, gauge_of
 from jaxshell.model.loads import InitialStrains, Load
 from jaxshell.model.mesh import Mesh
+from jaxshell.model.obstacles import Obstacle
 from jaxshell.model.sections import AnySection, Regions
 from jaxshell.model.sets import check_on_mesh
 from jaxshell.model.supports import DOFS, Support
@@ -118,6 +120,8 @@ class Scene(eqx.Module):
             in a part.
         defaults: suggested time step, duration and methods (used by the command line only).
         damping: `RayleighDamping`, or None. Runs in time have it; statics and frequencies do not look at it.
+        connectors: what joins nodes with each other or with points of space: springs, dashpots, ...
+        obstacles: what the shell touches.
 
     Units are the user's, consistently. Raises ValueError for loads and supports on nodes that do not
     exist, for a degree of freedom prescribed twice, for values per element or node of another length.
@@ -132,6 +136,8 @@ class Scene(eqx.Module):
     watch: tuple[tuple[str, int, str], ...] = eqx.field(static=True)
     defaults: Defaults | None = eqx.field(static=True)
     damping: RayleighDamping | None
+    connectors: tuple[Connector, ...]
+    obstacles: tuple[Obstacle, ...]
 
     def __init__(
         self,
@@ -144,6 +150,8 @@ class Scene(eqx.Module):
         watch: Mapping[str, tuple[int | str, str]] | Sequence[tuple[str, int | str, str]] | None = None,
         defaults: Defaults | None = None,
         damping: RayleighDamping | None = None,
+        connectors: Sequence[Connector] = (),
+        obstacles: Sequence[Obstacle] = (),
     ):
         check_kind("mesh", mesh, Mesh, "a jaxshell.Mesh")
         if isinstance(section, Mapping | list | tuple):
@@ -158,6 +166,9 @@ class Scene(eqx.Module):
         self.watch = _watched(watch, mesh)
         self.defaults = defaults
         self.damping = damping
+        connectors = _objects("connectors", connectors, Connector, "connectors such as jaxshell.Spring")
+        self.connectors = _placed("connector", connectors, mesh)
+        self.obstacles = _placed("obstacle", _objects("obstacles", obstacles, Obstacle, "jaxshell.Plane"), mesh)
 
     def __check_init__(self):
         n = self.mesh.n_nodes
@@ -175,16 +186,21 @@ class Scene(eqx.Module):
                     check_on_mesh(f"{kind} {position}", "node", nodes.array, n)
         for label, number, component in self.watch:
             self._check_watched(f"watch {label!r}", number, component)
-        for position, load in enumerate(self.loads):
-            try:
-                load.check(self.mesh)
-                if isinstance(load, InitialStrains):
-                    load.check_section(self.section, self.mesh)
-            except ValueError as error:
-                raise ValueError(f"load {position}: {error}") from error
+        self._check_items()
         if self.initial is not None:
             self.initial.check(n)
         self._check_prescribed_once()
+
+    def _check_items(self):
+        kinds = {"load": self.loads, "connector": self.connectors, "obstacle": self.obstacles}
+        for kind, items in kinds.items():
+            for position, item in enumerate(items):
+                try:
+                    item.check(self.mesh)
+                    if isinstance(item, InitialStrains):
+                        item.check_section(self.section, self.mesh)
+                except ValueError as error:
+                    raise ValueError(f"{kind} {position}: {error}") from error
 
     def _check_watched(self, what: str, number: int, component):
         gauge = gauge_of(component)
@@ -212,8 +228,9 @@ class Scene(eqx.Module):
 
     @property
     def contributions(self) -> tuple[Contribution, ...]:
-        """What follows the motion, in the order of the loads."""
-        return tuple(load for load in self.loads if isinstance(load, Contribution))
+        """What follows the motion: loads that do, connectors, obstacles, in that order."""
+        loads = (load for load in self.loads if isinstance(load, Contribution))
+        return tuple(part for item in (*loads, *self.connectors, *self.obstacles) for part in item.parts())
 
     @property
     def initial_strains(self) -> tuple[InitialStrains, ...]:

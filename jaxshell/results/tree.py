@@ -9,11 +9,13 @@ import h5py
 import jax.numpy as jnp
 import numpy as np
 
+from jaxshell.model.connectors import CONNECTORS
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.history import History
 from jaxshell.model.loads import LOADS
 from jaxshell.model.materials import MATERIALS
 from jaxshell.model.mesh import Mesh
+from jaxshell.model.obstacles import OBSTACLES
 from jaxshell.model.scene import Defaults, Initial, Scene
 from jaxshell.model.sections import SECTIONS, Cylindrical, Ply
 from jaxshell.model.sets import Sets
@@ -21,10 +23,10 @@ from jaxshell.model.supports import Support
 from jaxshell.numerics.frozen import Frozen
 from jaxshell.results.checked import has, read_text, write_array, write_attribute, write_text
 
-_KINDS = {
-    kind.__name__: kind
-    for kind in (Mesh, *SECTIONS, Ply, Cylindrical, *MATERIALS, Support, History, Initial, RayleighDamping, *LOADS)
-}
+_PARTS = (Mesh, Ply, Cylindrical, Support, History, Initial, RayleighDamping)
+_KINDS = {kind.__name__: kind for kind in (*_PARTS, *SECTIONS, *MATERIALS, *LOADS, *CONNECTORS, *OBSTACLES)}
+_ITEMS = ("supports", "loads", "connectors", "obstacles")
+"""What a scene has several of. Of the last two nothing is written where there are none: older files have none."""
 _LIST, _SETS = "list", "sets"
 """The kinds of groups that hold a tuple of objects or arrays, and named sets."""
 _TEXT = "json:"
@@ -51,10 +53,11 @@ def write_scene(group, scene: Scene) -> None:
     """Store a scene, which must be concrete, in an empty group."""
     for name in ("mesh", "section", "initial", "damping"):
         _write_field(group, name, getattr(scene, name))
-    for name in ("supports", "loads"):
-        items = group.create_group(name)
-        for position, item in enumerate(getattr(scene, name)):
-            _write_field(items, str(position), item)
+    for name in _ITEMS:
+        if getattr(scene, name) or name in _ITEMS[:2]:
+            items = group.create_group(name)
+            for position, item in enumerate(getattr(scene, name)):
+                _write_field(items, str(position), item)
     write_text(group, "name", scene.name)
     write_text(group, "watch", to_json(scene.watch))
     if scene.defaults is not None:
@@ -71,16 +74,16 @@ def read_scene_of(file, path) -> Scene:
 
 
 def _scene(group) -> Scene:
-    supports, loads = (
-        tuple(_read_object(group[name][str(position)]) for position in range(len(group[name])))
-        for name in ("supports", "loads")
-    )
+    items = {
+        name: tuple(_read_object(group[name][str(position)]) for position in range(len(group[name])))
+        for name in _ITEMS
+        if name in group or name in _ITEMS[:2]
+    }
     defaults = json.loads(read_text(group, "defaults")) if has(group, "defaults") else None
     return Scene(
         _read_object(group["mesh"]),
         _read_object(group["section"]),
-        supports,
-        loads,
+        **items,
         initial=_read_object(group["initial"]) if "initial" in group else None,
         name=read_text(group, "name"),
         watch={label: (node, component) for label, node, component in json.loads(read_text(group, "watch"))},

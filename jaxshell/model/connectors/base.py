@@ -1,0 +1,22 @@
+"""What every connector offers: its parts, its checks, and how scene files write it."""
+
+import abc
+from typing import ClassVar
+
+from jaxshell.model.contribution import Contribution
+from jaxshell.model.mesh import Mesh
+from jaxshell.model.sets import OfSets
+
+
+class Connector(OfSets):
+    """What joins nodes with each other or with points of space."""
+
+    kind: ClassVar[str]
+    """Its name in scene files."""
+
+    @abc.abstractmethod
+    def parts(self) -> tuple[Contribution, ...]:
+        """The contributions that it is made of."""
+
+    def check(self, mesh: Mesh) -> None:
+        """Raise ValueError where it does not fit the mesh; called when the scene is made."""
