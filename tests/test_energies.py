@@ -56,7 +56,7 @@ class Link(Connector, Elastic):
 
 
 class Damper(Connector, Resisting):
-    """A force against the relative velocity of two nodes, in all directions."""
+    """A force against the rate of the distance of two nodes."""
 
     kind: ClassVar[str] = "damper"
     nodes: Frozen = eqx.field(static=True)
@@ -72,7 +72,8 @@ class Damper(Connector, Resisting):
         return jnp.zeros(len(self.nodes.array))
 
     def resistance(self, data, start, end, middle, rates):
-        force = self.coefficient * (rates[1, :3] - rates[0, :3])
+        along = middle.x[1] - middle.x[0]
+        force = self.coefficient * along * (along @ (rates[1, :3] - rates[0, :3])) / (along @ along)
         zero = jnp.zeros(3)
         return jnp.stack([jnp.concatenate([force, zero]), jnp.concatenate([-force, zero])])
 
