@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         GeneralizedEnergyMomentum,
         Newmark,
     )
+    from jaxshell.model.connectors import RigidBody
     from jaxshell.model.damping import RayleighDamping
     from jaxshell.model.loads import (
         EdgeForce,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
         Pressure,
         Thermal,
     )
+    from jaxshell.model.masses import PointMass
     from jaxshell.model.materials import Isotropic, Orthotropic
     from jaxshell.model.mesh import Mesh, structured_triangles
     from jaxshell.model.scene import Initial, Scene
@@ -102,8 +104,10 @@ __all__ = [
     "Output",
     "Pardiso",
     "Ply",
+    "PointMass",
     "Pressure",
     "RayleighDamping",
+    "RigidBody",
     "Scene",
     "Section",
     "SectionForces",
@@ -210,6 +214,8 @@ _HOMES = {
     "analyses.statics": ["reactions", "solve_static"],
     "analyses.step_control": ["StepControl"],
     "analyses.sweep.run": ["sweep"],
+    "model.masses": ["PointMass"],
+    "model.connectors": ["RigidBody"],
     "model.supports": ["Support", "clamped", "pinned", "symmetry"],
 }
 """The public names by their modules. A package's own name stands for the package."""

@@ -35,9 +35,10 @@ def test_sums(most):
     np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-14)
 
 
-def test_a_target_without_contribution_is_refused():
-    with pytest.raises(ValueError, match="Entry 1 of the assembly has no contribution"):
-        GatherSum.build(np.array([0, 2]), np.array([0, 1]), 3)
+def test_a_target_without_contribution_is_zero():
+    found = GatherSum.build(np.array([0, 2]), np.array([0, 1]), 4)(jnp.array([3.0, 5.0]))
+    np.testing.assert_array_equal(found, [3.0, 0.0, 5.0, 0.0])
+    assert GatherSum.build(np.zeros(0, int), np.zeros(0, int), 2)(jnp.zeros((0, 3))).shape == (2, 3)
 
 
 SUPPORTS = (js.clamped([1]), js.Support([0, 2], ("uz", "rx")))

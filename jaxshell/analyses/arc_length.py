@@ -112,10 +112,10 @@ class _Step(NamedTuple):
     """Held degrees of freedom that are moved go with the load factor."""
 
     def increments(self, free, increment) -> Float[Array, "n 6"]:
-        return self.model.expand(free, increment * self.held_rate)
+        return _STATIC.increments(self.model, self.state, free, increment * self.held_rate)
 
     def moves(self, free, held) -> Float[Array, "n 3"]:
-        return self.model.expand(free, held)[:, :3]
+        return self.model.spread(free, held, self.state.R)[:, :3]
 
     def balance(self, free, increment):
         begun = _STATIC.begin(self.model, self.state, increment)
@@ -127,7 +127,8 @@ class _Step(NamedTuple):
         linear = self.plan.solvers.linear._replace(units=model.units)
         begun = _STATIC.begin(model, self.state, increment)
         held = increment * self.held_rate
-        u, before = model.expand(free, held), model.expand(last, jnp.where(jnp.any(last != 0), held, 0.0))
+        u = _STATIC.increments(model, self.state, free, held)
+        before = _STATIC.increments(model, self.state, last, jnp.where(jnp.any(last != 0), held, 0.0))
         matrix = _STATIC.tangent(model, self.state, begun, u, before, self.plan.solvers.tangent)
         _, rate = jax.jvp(lambda t: model.free(self.balance(free, t).residual), (increment,), (jnp.ones(()),))
         by_load, factorization, factored = linear.factor_and_solve(matrix, -rate)

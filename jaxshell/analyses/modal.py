@@ -23,7 +23,7 @@ from scipy.linalg import LinAlgError, eig, eigh
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, splu
 
 from jaxshell.analyses.statics import proportional
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model, elimination_of, structure_of
 from jaxshell.assembly.sparsity import SparsityPattern
 from jaxshell.assembly.tables import Tables, analyse
 from jaxshell.elements import corotational
@@ -141,7 +141,7 @@ def natural_frequencies(
     still = rigid | (omega_sq == 0)
     safe = jnp.where(still, 1.0, jnp.abs(omega_sq))
     frequencies = jnp.where(still, 0.0, jnp.sign(omega_sq) * jnp.sqrt(safe)) / (2 * jnp.pi)
-    return Modes(frequencies, _nodal(tables, units * eigenvectors(pencil, vectors)))
+    return Modes(frequencies, _nodal(scene, tables, state[1], units * eigenvectors(pencil, vectors)))
 
 
 def linear_buckling(scene: Scene, count: int = 5) -> BucklingModes:
@@ -176,7 +176,7 @@ def linear_buckling(scene: Scene, count: int = 5) -> BucklingModes:
     pencil = Pencil(-K_sigma, K, pattern)
     reciprocal = eigenvalues(pencil, vectors, positive)
     factors = jnp.where(positive, 1.0 / jnp.where(positive, reciprocal, 1.0), jnp.inf)
-    shapes = _nodal(tables, units * eigenvectors(pencil, vectors))
+    shapes = _nodal(scene, tables, _initial_state(scene)[1], units * eigenvectors(pencil, vectors))
     return BucklingModes(factors, shapes / jnp.max(jnp.abs(shapes[:, :, :3]), axis=(1, 2), keepdims=True))
 
 
@@ -203,7 +203,12 @@ def _vibration_matrices(scene: Scene, tables: Tables, state, time):
     K = jax.vmap(corotational.tangent_stiffness)(x, R, model.elements_at((1.0, time)))
     following = model.following_stiffness(*placed, time)
     M = jax.vmap(mass_matrix)(R, model.elements)
-    return model.assemble_matrix(K, following), model.assemble_matrix(M), model.units, model.frequency_scale
+    forces = None
+    if model.elimination is not None:
+        forces = model.internal_force(*placed, time) - model.external_load(*placed, time)
+    K = model.matrix_at(placed[1], K, following, forces)
+    lumps = [] if model.lumps is None else [(model.lumps, model.lumps.matrices(placed[1]))]
+    return K, model.matrix_at(placed[1], M, lumps), model.units, model.frequency_scale
 
 
 @compiled
@@ -215,15 +220,16 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
     x, R = model.gather(at_rest)
     matrices = jax.vmap(corotational.tangent_stiffness)(x, R, model.elements)
     held = model.held_displacement(1.0)
-    moved = model.expand(jnp.zeros(model.tables.free.shape), held).reshape(n, 6)
+    moved = model.spread(jnp.zeros(model.tables.free.shape), held, at_rest[1])
     internal = model.assemble_vector(jnp.einsum("mij,mj->mi", matrices, model.gather(moved).reshape(-1, 18)))
     loads = model.external_load(*at_rest, 1.0)
     elements = model.elements_at((1.0, 1.0))
     if model.rests or model.elastic:
         loads = loads - model.internal_force(*at_rest, 1.0)
-    K = model.assemble_matrix(matrices, model.stiffness_of(model.elastic, *at_rest, 1.0))
-    free = Linear(default_solver(), handle, model.units).solve_once(K, model.free(loads - internal))
-    nodal = model.expand(free, held).reshape(n, 6)
+    K = model.matrix_at(at_rest[1], matrices, model.stiffness_of(model.elastic, *at_rest, 1.0))
+    load = model.free(model.collected(loads - internal, at_rest[1]))
+    free = Linear(default_solver(), handle, model.units).solve_once(K, load)
+    nodal = model.spread(free, held, at_rest[1])
     u = model.gather(nodal)
 
     def stress_stiffness(x, R, u, element):
@@ -238,7 +244,11 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
     K_sigma = jax.vmap(stress_stiffness)(x, R, u, elements)
     external = tuple(a for a in model.contributions if not a.is_elastic and not a.resists)
     others = model.stiffness_of(external, *at_rest, 1.0) + _stressed(model, at_rest, nodal)
-    return K, model.assemble_matrix(K_sigma, others), model.units
+    # The followers' forces grow with the loads.
+    forces = None
+    if model.elimination is not None:
+        forces = model.assemble_vector(jnp.einsum("mij,mj->mi", matrices, u.reshape(-1, 18))) - loads
+    return K, model.matrix_at(at_rest[1], K_sigma, others, forces), model.units
 
 
 def _stressed(model: Model, at_rest, nodal: Float[Array, "n 6"]):
@@ -364,9 +374,13 @@ def _lanczos(matrix, **options):
         raise RuntimeError(f"Only {found} of {options['k']} eigenvalues converged; ask for fewer.") from error
 
 
-def _nodal(tables: Tables, vectors) -> Float[Array, "c n 6"]:
+def _nodal(scene: Scene, tables: Tables, R, vectors) -> Float[Array, "c n 6"]:
     held = jnp.zeros((vectors.shape[0], tables.held.shape[0]))
-    return jnp.concatenate([vectors, held], axis=1)[:, tables.place].reshape(vectors.shape[0], -1, 6)
+    nodal = jnp.concatenate([vectors, held], axis=1)[:, tables.place].reshape(vectors.shape[0], -1, 6)
+    elimination = elimination_of(scene, tables)
+    if elimination is None:
+        return nodal
+    return jax.vmap(lambda nodal: elimination.nodal(nodal, R, lambda theta: jnp.eye(3)))(nodal)
 
 
 def _check_count(count, size: int) -> None:

@@ -125,18 +125,19 @@ def critical(model: Model, solvers: Solvers, before: StaticState, state: StaticS
 
     def inverse(b: Float[Array, " nf"]) -> Float[Array, " nf"]:
         """K⁻¹ b: displacements and spins for forces and moments."""
-        x = model.expand(linear.solve(factorization, values, b), no_motion)
-        return model.free(x.at[:, 3:].set(jnp.einsum("nij,nj->ni", spin, x[:, 3:])))
+        x = model.spread(linear.solve(factorization, values, b), no_motion, state.R)
+        return model.unknowns(x.at[:, 3:].set(jnp.einsum("nij,nj->ni", spin, x[:, 3:])))
 
     def residual(x):
-        return model.free(_STATIC.balance(model, state, begun, model.expand(x, no_motion)).residual)
+        u = _STATIC.increments(model, state, x, no_motion)
+        return model.free(_STATIC.balance(model, state, begun, u).residual)
 
     unloaded = _material_product(model, state)
     x = _softest(inverse, unloaded, _start(model))
     _, along = jax.jvp(residual, (jnp.zeros_like(x),), (x,))
     quotient = jnp.sum(x * along) / jnp.sum(x * unloaded(x))
-    load = model.free(model.external_load(model.x0 + state.d, state.R, 1.0))
-    return Critical(quotient, _signed(model.expand(x, no_motion)), _cosine(x, load)), memory
+    load = model.free(model.collected(model.external_load(model.x0 + state.d, state.R, 1.0), state.R))
+    return Critical(quotient, _signed(model.spread(x, no_motion, state.R)), _cosine(x, load)), memory
 
 
 def _start(model: Model) -> Float[Array, " nf"]:
@@ -152,11 +153,12 @@ def _material_product(model: Model, state: StaticState):
     Lambda = jax.vmap(corotational.deformation_gradient)(kin)
 
     def product(x):
-        u = model.gather(model.expand(x, jnp.zeros(model.tables.held.shape))).reshape(-1, 6, 3)
+        u = model.gather(model.spread(x, jnp.zeros(model.tables.held.shape), state.R)).reshape(-1, 6, 3)
         local = jnp.einsum("mij,mkj->mki", kin.frame, u).reshape(-1, 18)
         stresses = jax.vmap(corotational.stresses)(jnp.einsum("mij,mj->mi", Lambda, local), model.elements)
         force = jnp.einsum("mij,mi->mj", Lambda, stresses).reshape(-1, 6, 3)
-        return model.free(model.assemble_vector(jnp.einsum("mij,mki->mkj", kin.frame, force).reshape(-1, 18)))
+        nodal = model.assemble_vector(jnp.einsum("mij,mki->mkj", kin.frame, force).reshape(-1, 18))
+        return model.free(model.collected(nodal, state.R))
 
     return product
 

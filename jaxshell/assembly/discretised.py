@@ -7,7 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxshell.assembly.elimination import Blocks, Elimination
 from jaxshell.assembly.gauges import Watching, watching
+from jaxshell.assembly.lumps import Lumps, lumped_nodes, lumps_of
 from jaxshell.assembly.tables import Structure, Tables
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
@@ -87,14 +89,19 @@ class Model(eqx.Module):
     damping: Damping | None = None
     gauges: tuple[Watching, ...] = ()
     """What reads the stresses and section forces that the scene watches."""
+    elimination: Elimination | None = None
+    """None where every node's own degrees of freedom are unknown or held."""
+    lumps: Lumps | None = None
+    """The point masses; None where there are none."""
 
     @classmethod
     def build(cls, scene: Scene, tables: Tables) -> "Model":
         """The model of a scene; `tables` are of its `structure_of`."""
         x0 = scene.mesh.nodes
         elements = jax.vmap(Element.build)(x0[tables.triangles], scene.section.resultants(scene.mesh))
+        lumps = _lumps(scene, tables)
         dead = tuple(
-            (load.nodal(x0, tables.triangles, elements.mass_per_area), load.history)
+            (_nodal(load, x0, tables, elements, lumps), load.history)
             for load in scene.loads
             if isinstance(load, DeadLoad)
         )
@@ -105,7 +112,8 @@ class Model(eqx.Module):
         acting = _acting(scene, tables, surface)
         histories = (load.history for load in scene.initial_strains)
         rests = tuple(zip(rest_deformations(scene, elements), histories, strict=True))
-        return cls(x0, elements, dead, acting, rests, moving, size, tables, damping, watching(scene, elements))
+        gauges, elimination = watching(scene, elements), elimination_of(scene, tables)
+        return cls(x0, elements, dead, acting, rests, moving, size, tables, damping, gauges, elimination, lumps)
 
     def elements_at(self, *weighted: tuple[Any, Any]) -> Element:
         """The elements with the mean of their stress-free states at some times: (weight, time) each.
@@ -155,21 +163,36 @@ class Model(eqx.Module):
         """Sum of element vectors over the nodes."""
         return self.tables.nodal(corner.reshape(-1, 6))
 
-    def assemble_matrix(self, matrices: Float[Array, "m 18 18"], others=()) -> Float[Array, " nnz"]:
+    def assemble_matrix(
+        self, matrices: Float[Array, "m 18 18"], others=(), blocks: Blocks | None = None, turning=None
+    ) -> Float[Array, " nnz"]:
         """Values of the sparse matrix over the free degrees of freedom.
 
-        `others` are (acting, its matrices (k, 6c, 6c)) of contributions.
+        `others` are (acting, its matrices (k, 6c, 6c)) of contributions. Where there is an `elimination`, `blocks` are
+        of its `blocks` and `turning` of that, or None.
         """
-        for acting, blocks in others:
+        for acting, own in others:
             if acting.on_elements:
-                matrices = matrices + blocks
+                matrices = matrices + own
+        if blocks is not None:
+            matrices, others = self._reduced(matrices, others, blocks)
         values = self.tables.matrix(formed(matrices).reshape(-1))
         if self.tables.own is not None:
             values = jnp.append(values, 0.0)[self.tables.own]
-        for acting, blocks in others:
+        for acting, own in others:
             if not acting.on_elements:
-                values = values.at[acting.entries].add(blocks.reshape(-1), mode="drop")
+                values = values.at[acting.entries].add(own.reshape(-1), mode="drop")
+        if turning is not None and self.elimination is not None:
+            values = values.at[self.elimination.dependent.entries].add(turning.reshape(-1), mode="drop")
         return values
+
+    def _reduced(self, matrices: Float[Array, "m 18 18"], others, blocks: Blocks):
+        """Matrices by the unknowns of those by the nodes' increments."""
+        assert self.elimination is not None
+        touched = self.elimination.dependent.touched
+        own = blocks.of(self.tables.triangles[touched], matrices[touched])
+        others = [(a, m if a.on_elements else blocks.of(a.nodes, m)) for a, m in others]
+        return matrices.at[touched].set(own), others
 
     def sum_over_nodes(self, acting: Acting, forces: Float[Array, "k c 6"]) -> Float[Array, "n 6"]:
         """Forces of a contribution's groups summed over the nodes."""
@@ -184,6 +207,43 @@ class Model(eqx.Module):
     def expand(self, free: Float[Array, " nf"], held: Float[Array, " nh"]) -> Float[Array, "n 6"]:
         """The nodal vector with the given entries at free and held degrees of freedom."""
         return jnp.concatenate([free, held])[self.tables.place].reshape(-1, 6)
+
+    def unknowns(self, nodal: Float[Array, "n 6"]) -> Float[Array, " nf"]:
+        """The free unknowns of nodal increments: along the nodes' own axes where they have some."""
+        return self.free(nodal if self.elimination is None else self.elimination.along(nodal))
+
+    def along_held(self, nodal: Float[Array, "n 6"]) -> Float[Array, " nh"]:
+        """The held entries of nodal increments, along the nodes' own axes where they have some."""
+        along = nodal if self.elimination is None else self.elimination.along(nodal)
+        return along.reshape(-1)[self.tables.held]
+
+    def spread(self, free: Float[Array, " nf"], held: Float[Array, " nh"], R: Float[Array, "n 3 3"]):
+        """Displacements and spins of all nodes (n, 6) about a state with the rotations R, linearly."""
+        nodal = self.expand(free, held)
+        if self.elimination is None:
+            return nodal
+        return self.elimination.nodal(nodal, R, lambda theta: jnp.eye(3))
+
+    def collected(self, nodal: Float[Array, "n 6"], R: Float[Array, "n 3 3"]) -> Float[Array, "n 6"]:
+        """Forces and moments in a state with the rotations R at the unknowns: what `spread` is the transpose of."""
+        if self.elimination is None:
+            return nodal
+        return self.elimination.collected(nodal, self._arms(R))
+
+    def _arms(self, R: Float[Array, "n 3 3"]) -> Float[Array, "k 3"]:
+        assert self.elimination is not None
+        return jnp.einsum("kij,kj->ki", R[self.elimination.masters], self.elimination.arms)
+
+    def matrix_at(self, R: Float[Array, "n 3 3"], matrices, others=(), forces=None) -> Float[Array, " nnz"]:
+        """As `assemble_matrix`, of matrices by displacements and spins about a state with the rotations R.
+
+        `forces` (n, 6) are the state's at the nodes, where the matrices are derivatives of them.
+        """
+        if self.elimination is None:
+            return self.assemble_matrix(matrices, others)
+        arms, spin = self._arms(R), jnp.broadcast_to(jnp.eye(3), R.shape)
+        turning = None if forces is None else self.elimination.turning(forces, arms, spin, 1.0)
+        return self.assemble_matrix(matrices, others, self.elimination.blocks(arms, arms, spin), turning)
 
     def held_displacement(self, time) -> Float[Array, " nh"]:
         """Displacements of the held degrees of freedom at `time`; zero where nothing is prescribed."""
@@ -314,16 +374,43 @@ def rest_deformations(scene: Scene, elements: Element) -> tuple[Float[Array, "m 
 def structure_of(scene: Scene) -> Structure:
     """The static part of a scene that the sparsity depends on."""
     groups = tuple(nodes for nodes in _groups(scene) if nodes != scene.mesh.connectivity)
-    return Structure(scene.mesh.connectivity, scene.mesh.n_nodes, scene.held, groups)
+    if (lumped := lumped_nodes(scene)).size:
+        groups = (*groups, Frozen(lumped[:, None]))
+    return Structure(scene.mesh.connectivity, scene.mesh.n_nodes, scene.held, groups, scene.masters, scene.turned)
+
+
+def elimination_of(scene: Scene, tables: Tables) -> Elimination | None:
+    """What of a scene's nodes is no unknown; None where there is none such."""
+    if tables.dependent is None:
+        return None
+    x0, dependent = scene.mesh.nodes, tables.dependent
+    return Elimination(dependent, x0[dependent.followers] - x0[dependent.masters], scene.axes)
 
 
 def _groups(scene: Scene) -> list[Frozen]:
     return [contribution.groups(scene.mesh.triangles) for contribution in scene.contributions]
 
 
+def _nodal(load: DeadLoad, x0, tables: Tables, elements: Element, lumps: Lumps | None) -> Float[Array, "n 6"]:
+    """A dead load's forces and moments on the nodes, point masses among them."""
+    total = load.nodal(x0, tables.triangles, elements.mass_per_area)
+    on_masses = None if lumps is None else load.on_masses(lumps.mass)
+    return total if lumps is None or on_masses is None else total.at[lumps.at, :3].add(on_masses)
+
+
+def _placed(tables: Tables) -> list[tuple[Any, Any]]:
+    """The groups other than the elements' own, with their places in the sparse matrix."""
+    return list(zip(tables.groups, tables.entries or (None,) * len(tables.groups), strict=True))
+
+
+def _lumps(scene: Scene, tables: Tables) -> Lumps | None:
+    """The scene's point masses, whose groups are the last in the tables."""
+    return None if scene.point_masses is None else lumps_of(scene, *_placed(tables)[-1])
+
+
 def _acting(scene: Scene, tables: Tables, surface: Surface) -> tuple[Acting, ...]:
     """The scene's contributions; groups that are not the elements' own follow each other in the tables."""
-    found, others = [], iter(zip(tables.groups, tables.entries or (None,) * len(tables.groups), strict=True))
+    found, others = [], iter(_placed(tables))
     for contribution, nodes in zip(scene.contributions, _groups(scene), strict=True):
         own = nodes == scene.mesh.connectivity
         indices, entries = (tables.triangles, None) if own else next(others)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -31,15 +32,15 @@ class GatherSum(eqx.Module):
     """Position of each target in that order."""
     extra: tuple[Int[Array, " e"], Int[Array, " e"]] | None
     """(source, target position) beyond the gathered layers."""
+    empty: int = eqx.field(static=True, default=0)
+    """How many targets have no source, and the sum 0."""
 
     @classmethod
     def build(cls, targets: np.ndarray, sources: np.ndarray, size: int) -> "GatherSum":
-        """From pairs (target, source); every target in range(size) needs at least one source."""
+        """From pairs (target, source)."""
         by_target = np.argsort(targets, kind="stable")
         targets, sources = targets[by_target], sources[by_target]
         count = np.bincount(targets, minlength=size)
-        if size and count.min() == 0:
-            raise ValueError(f"Entry {int(np.argmin(count))} of the assembly has no contribution.")
         rank = np.arange(targets.size) - np.repeat(np.cumsum(count) - count, count)
         descending = np.argsort(-count, kind="stable")
         order = np.empty(size, np.int64)
@@ -52,16 +53,34 @@ class GatherSum(eqx.Module):
             layers.append(index_array(layer))
         beyond = rank >= _GATHERED
         extra = (index_array(sources[beyond]), index_array(position[beyond])) if beyond.any() else None
-        return cls(tuple(layers), index_array(order), extra)
+        return cls(tuple(layers), index_array(order), extra, int(np.sum(count == 0)))
 
     def __call__(self, source: Float[Array, "s *rest"]) -> Float[Array, "size *rest"]:
+        if not self.layers:
+            return jnp.zeros((self.empty, *source.shape[1:]))
         total = source[self.layers[0]]
         for layer in self.layers[1:]:
             head = total[: layer.shape[0]] + source[layer]
             total = jax.lax.dynamic_update_slice_in_dim(total, head, 0, axis=0)
         if self.extra is not None:
             total = total.at[self.extra[1]].add(source[self.extra[0]])
+        if self.empty:
+            total = jnp.concatenate([total, jnp.zeros((self.empty, *total.shape[1:]))])
         return total[self.order]
+
+
+class Dependent(eqx.Module):
+    """Where nodes are whose degrees of freedom are no unknowns: see `jaxshell.assembly.elimination`."""
+
+    followers: Int[Array, " k"]
+    masters: Int[Array, " k"]
+    """Of the followers."""
+    turned: Int[Array, " s"]
+    """Nodes with axes of their own, and the followers of such."""
+    touched: Int[Array, " t"]
+    """Elements with any of these nodes."""
+    entries: Int[Array, " e"]
+    """Of a (6, 6) matrix for each follower, entry by entry: its place in the sparse matrix, at its master."""
 
 
 class Tables(eqx.Module):
@@ -84,6 +103,8 @@ class Tables(eqx.Module):
     own: Int[Array, " nnz"] | None = None
     """Of every entry of the sparse matrix, its place in `matrix`, one past the end where only groups have it; None
     where `matrix` is the sparse matrix."""
+    dependent: Dependent | None = None
+    """None where every node's own degrees of freedom are unknown or held."""
 
 
 class Structure(NamedTuple):
@@ -94,18 +115,41 @@ class Structure(NamedTuple):
     held: Frozen
     groups: tuple[Frozen, ...] = ()
     """(k, c) nodes of the contributions' groups, other than the elements' own."""
+    masters: Frozen | None = None
+    """(n,) the node whose degrees of freedom move a node: itself, or the reference of its rigid body."""
+    turned: Frozen | None = None
+    """Nodes with axes of their own, and the followers of such."""
+
+    @property
+    def followers(self) -> np.ndarray:
+        """Nodes that follow another."""
+        if self.masters is None:
+            return np.zeros(0, np.int64)
+        return np.flatnonzero(self.masters.array != np.arange(self.n_nodes))
+
+    def numbers(self) -> np.ndarray:
+        """(6·n,) the unknown that each degree of freedom goes with; negative where it is held."""
+        free = _free_dofs(self)
+        number = np.full(6 * self.n_nodes, -1)
+        number[free] = np.arange(free.size)
+        return number if self.masters is None else number.reshape(-1, 6)[self.masters.array].ravel()
 
 
 @functools.lru_cache(maxsize=32)
 def analyse(structure: Structure) -> tuple[Tables, SparsityPattern]:
     """Tables and sparsity pattern of a structure; done once, kept for later runs of the same structure."""
     triangles, free = structure.triangles.array, _free_dofs(structure)
-    number = np.full(6 * structure.n_nodes, -1)
-    number[free] = np.arange(free.size)
+    number = structure.numbers()
     own, sources = _keys(triangles, number, free.size)
-    others = [_keys(group.array, number, free.size) for group in structure.groups]
+    groups = [group.array for group in structure.groups]
+    if structure.followers.size:
+        groups.append(structure.followers[:, None])
+    others = [_keys(group, number, free.size) for group in groups]
     mine, targets = np.unique(own[sources], return_inverse=True)
-    entries = np.unique(np.concatenate([mine, *(keys[kept] for keys, kept in others)])) if others else mine
+    entries = mine
+    if others or not np.isin(free // 6, triangles).all():
+        diagonal = np.arange(free.size) * (free.size + 1)
+        entries = np.unique(np.concatenate([mine, diagonal, *(keys[kept] for keys, kept in others)]))
     indptr = np.concatenate([[0], np.cumsum(np.bincount(entries // free.size, minlength=free.size))])
     pattern = SparsityPattern(free.size, Frozen(indptr), Frozen(entries % free.size))
     with jax.ensure_compile_time_eval():
@@ -117,7 +161,10 @@ def analyse(structure: Structure) -> tuple[Tables, SparsityPattern]:
             index_array(np.where(keys >= 0, np.searchsorted(entries, keys), entries.size)) for keys, _ in others
         )
     tables = nodal_tables(structure)
-    return dataclasses.replace(tables, matrix=matrix, entries=places, own=spread), pattern
+    if tables.dependent is not None and structure.followers.size:
+        *places, own_block = places
+        tables = eqx.tree_at(lambda t: t.dependent.entries, tables, own_block)
+    return dataclasses.replace(tables, matrix=matrix, entries=tuple(places), own=spread), pattern
 
 
 def _keys(nodes: np.ndarray, number: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -137,6 +184,8 @@ def nodal_tables(structure: Structure) -> Tables:
     triangles, held, free = structure.triangles.array, structure.held.array, _free_dofs(structure)
     place = np.empty(6 * structure.n_nodes, np.int64)
     place[free], place[held] = np.arange(free.size), free.size + np.arange(held.size)
+    if structure.masters is not None:
+        place = place.reshape(-1, 6)[structure.masters.array].ravel()
     # Concrete also while an outer transformation traces: tables are data, never part of the traced program.
     with jax.ensure_compile_time_eval():
         corners = triangles.ravel()
@@ -148,12 +197,26 @@ def nodal_tables(structure: Structure) -> Tables:
             index_array(held),
             index_array(place),
             tuple(index_array(group.array) for group in structure.groups),
+            dependent=_dependent(structure),
         )
+
+
+def _dependent(structure: Structure) -> Dependent | None:
+    if structure.masters is None and structure.turned is None:
+        return None
+    followers = structure.followers
+    masters = np.zeros(0, np.int64) if structure.masters is None else structure.masters.array[followers]
+    turned = np.zeros(0, np.int64) if structure.turned is None else structure.turned.array
+    touched = np.isin(structure.triangles.array, np.concatenate([followers, turned])).any(axis=1)
+    none = np.zeros(0, np.int64)
+    return Dependent(*(index_array(a) for a in (followers, masters, turned, np.flatnonzero(touched), none)))
 
 
 def _free_dofs(structure: Structure) -> np.ndarray:
     is_free = np.ones(6 * structure.n_nodes, bool)
     is_free[structure.held.array] = False
+    if structure.masters is not None:
+        is_free.reshape(-1, 6)[structure.followers] = False
     free = np.flatnonzero(is_free)
     if free.size == 0:
         raise ValueError("Every degree of freedom is held by a support: there is nothing to compute.")

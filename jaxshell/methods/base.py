@@ -67,6 +67,8 @@ class Begun(NamedTuple):
     """The loads of the balance that are known: dead loads, and what contributions count at the start."""
     end: Float[Array, ""]
     """The time at the end."""
+    lumps: Any = None
+    """Of the point masses, each leaf with a leading axis k; None where there are none."""
 
 
 class Observation(NamedTuple):
@@ -161,6 +163,10 @@ class ImplicitMethod(Method):
     def element_tangent(self, motion: Motion, u: Float[Array, "3 6"], data, step) -> Float[Array, "18 18"]:
         """Derivative of the sum of `element_forces` by u, (18, 18), in closed form."""
 
+    def lump_force(self, u: Float[Array, "6"], lump, step) -> Float[Array, "6"]:
+        """Inertia of one point mass; `lump` is its own step data, in `Begun.lumps`."""
+        return jnp.zeros(6)
+
     # --- for the whole shell -------------------------------------------------------------------------------
 
     @abc.abstractmethod
@@ -174,6 +180,23 @@ class ImplicitMethod(Method):
     def predict(self, model: Model, state, dt) -> Float[Array, "n 6"]:
         """The increments from which Newton starts; states keep the `rates` of the last steps for it."""
         return extrapolate(state.rates, dt)
+
+    def mean_turn(self, theta: Float[Array, "3"]) -> Float[Array, "3 3"]:
+        """A with R₁ - R₀ = ~θ A R₀ for a node's rotation in a step."""
+        return H_inverse(theta)
+
+    def increments(self, model: Model, state, free: Float[Array, " nf"], held: Float[Array, " nh"]):
+        """The increments of all nodes (n, 6) from those that are unknown and those that are held."""
+        unknown = model.expand(free, held)
+        if model.elimination is None:
+            return unknown
+        return model.elimination.nodal(unknown, self.configuration(state)[1], self.mean_turn)
+
+    def _levers(self, model: Model, state, begun: "Begun", u):
+        """Of followers, at the place of the balance and at the end of the step."""
+        assert model.elimination is not None
+        R, weight = self.configuration(state)[1], self.weight_at_end(begun.step)
+        return model.elimination.levers(u, R, self.mean_turn, weight)
 
     def configuration(self, state) -> tuple[Float[Array, "n 3"], Float[Array, "n 3 3"]]:
         """Positions and rotations to which the increments of a step are added."""
@@ -204,8 +227,16 @@ class ImplicitMethod(Method):
         return jax.vmap(self.node_motion)(u, *self.configuration(state))
 
     def balance(self, model: Model, state, begun, u: Float[Array, "n 6"]) -> Balance:
-        """The residual of the step at the increments u."""
-        data, step, loads, _ = begun
+        """The residual of the step at the increments u: at the unknowns, see `jaxshell.assembly.elimination`."""
+        found = self.nodal_balance(model, state, begun, u)
+        if model.elimination is None:
+            return found
+        levers, _ = self._levers(model, state, begun, u)
+        return found._replace(residual=model.elimination.collected(found.residual, levers))
+
+    def nodal_balance(self, model: Model, state, begun, u: Float[Array, "n 6"]) -> Balance:
+        """The same at every node."""
+        data, step, loads = begun.data, begun.step, begun.loads
         motion, corners = self.motion(state, u), model.gather(u)
         forces = jax.vmap(self.element_forces, in_axes=(0, 0, 0, None))(model.gather(motion), corners, data, step)
         residual = model.assemble_vector(forces.elastic + forces.inertial) - loads
@@ -213,6 +244,10 @@ class ImplicitMethod(Method):
         for acting, force in self.following(model, state, begun, motion, u):
             residual = residual - model.sum_over_nodes(acting, force)
             parts.append((force, u[acting.nodes]))
+        if model.lumps is not None:
+            force = jax.vmap(self.lump_force, in_axes=(0, 0, None))(u[model.lumps.at], begun.lumps, step)
+            residual = residual.at[model.lumps.at].add(force)
+            parts.append((force, u[model.lumps.at]))
         works = [jnp.sum(f.reshape(len(f), -1) * d.reshape(len(f), -1), axis=1) for f, d in parts]
         work = sum((jnp.sum(jnp.abs(w)) for w in works), jnp.zeros(()))
         halves = [f.reshape(-1, 2, 3) for f, _ in parts]
@@ -277,7 +312,7 @@ class ImplicitMethod(Method):
         if model.moving:
             # Supports that move work with the reaction, the residual at the held degrees of freedom.
             reaction = self.balance(model, state, begun, u).residual.reshape(-1)[model.tables.held]
-            work = work + jnp.sum(reaction * u.reshape(-1)[model.tables.held])
+            work = work + jnp.sum(reaction * model.along_held(u))
         return work
 
     def taken(self, model: Model, state, begun: Begun, motion: Motion, u) -> Float[Array, ""]:
@@ -351,7 +386,16 @@ class ImplicitMethod(Method):
             matrices = self.matrices(model, state, begun, u, tangent)
         else:
             matrices = self.mixed_matrices(model, state, begun, u, last, tangent)
-        return model.assemble_matrix(matrices, self.following_matrices(model, state, begun, u, tangent))
+        others: list[Any] = [*self.following_matrices(model, state, begun, u, tangent)]
+        if model.lumps is not None:
+            slope = jax.vmap(jax.jacfwd(self.lump_force), in_axes=(0, 0, None))
+            others.append((model.lumps, slope(u[model.lumps.at], begun.lumps, begun.step)))
+        if model.elimination is None:
+            return model.assemble_matrix(matrices, others)
+        levers, ends = self._levers(model, state, begun, u)
+        spin, forces = self.motion(state, u).spin, self.nodal_balance(model, state, begun, u).residual
+        turning = model.elimination.turning(forces, ends, spin, self.weight_at_end(begun.step))
+        return model.assemble_matrix(matrices, others, model.elimination.blocks(levers, ends, spin), turning)
 
     def mixed_matrices(self, model: Model, state, begun, u, last, tangent: str) -> Float[Array, "m 18 18"]:
         """Element tangents that Newton uses at the iterate u (n, 6), which it reached from the iterate `last`.
@@ -379,18 +423,18 @@ class ImplicitMethod(Method):
         if solvers.differentiated:
             parameters = self, model, state, begun, held, solvers.tangent
             free = attach_derivative(solvers.linear, _residual, _tangent, free, parameters)
-        return model.expand(free, held)
+        return self.increments(model, state, free, held)
 
 
 def _residual(free, parameters) -> Float[Array, " nf"]:
     """Of the free degrees of freedom, as a function of all that a step's equations depend on."""
     method, model, state, begun, held, _ = parameters
-    return model.free(method.balance(model, state, begun, model.expand(free, held)).residual)
+    return model.free(method.balance(model, state, begun, method.increments(model, state, free, held)).residual)
 
 
 def _tangent(free, parameters) -> Float[Array, " nnz"]:
     method, model, state, begun, held, tangent = parameters
-    return method.tangent(model, state, begun, model.expand(free, held), None, tangent)
+    return method.tangent(model, state, begun, method.increments(model, state, free, held), None, tangent)
 
 
 def by_increments(K: Float[Array, "k d d"], spin: Float[Array, "k c 3 3"]) -> Float[Array, "k d d"]:
@@ -403,7 +447,7 @@ def by_increments(K: Float[Array, "k d d"], spin: Float[Array, "k c 3 3"]) -> Fl
 def _converge(memory: Memory, method: ImplicitMethod, model: Model, state, dt, solvers: Solvers):
     """Newton's iteration of one step: (Solved, Memory). In a batch the factorization kept is another member's."""
     _, _, problem = _problem(method, model, state, dt, solvers)
-    guess = model.free(method.predict(model, state, dt))
+    guess = model.unknowns(method.predict(model, state, dt))
     return solvers.newton.solve(problem, guess, *_scales(model), solvers.linear, memory)
 
 
@@ -419,12 +463,12 @@ def _problem(method: ImplicitMethod, model: Model, state, dt, solvers: Solvers):
 
     def matrix(free, last):
         # At the start of the step, where `last` is zero, the held degrees of freedom have not moved either.
-        last = model.expand(last, jnp.where(jnp.any(last != 0), held, 0.0))
-        u = model.expand(free, held)
+        last = method.increments(model, state, last, jnp.where(jnp.any(last != 0), held, 0.0))
+        u = method.increments(model, state, free, held)
         return method.tangent(model, state, begun, u, last, solvers.tangent)
 
     problem = Problem(
-        lambda free: method.balance(model, state, begun, model.expand(free, held)),
+        lambda free: method.balance(model, state, begun, method.increments(model, state, free, held)),
         matrix,
         model.free,
     )

@@ -13,6 +13,7 @@ that is O(Δt²), of the order of the formula's own error, and nothing when the 
 """
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from jaxshell.assembly.discretised import Model
 from jaxshell.elements.inertia import GAUSS_POINTS, Spins, StepFactors
@@ -78,22 +79,30 @@ def history(model: Model, start: NewmarkState, half: NewmarkState, dt) -> Newmar
     """`half` with its rates replaced by what the two known points contribute to the rates at the end."""
     increment = 0.5 * dt * half.rates[0]
     theta = jnp.asarray(GAUSS_POINTS) @ model.gather(increment[:, 3:])
-    material = jnp.einsum("mpij,mpi->mpj", start.spins.R, theta)
-    v, Omega = -increment[:, :3] / dt, -material / dt
+    v = -increment[:, :3] / dt
+    lumps = None
+    if model.lumps is not None and start.lumps is not None and half.lumps is not None:
+        lumps = _known(start.lumps, half.lumps, increment[model.lumps.at, 3:], dt)
     a = (3.0 * v - 4.0 * half.v + start.v) / dt
-    Omega_dot = (3.0 * Omega - 4.0 * half.spins.Omega + start.spins.Omega) / dt
     return NewmarkState(
         time=half.time,
         x=half.x,
         R=half.R,
         v=v,
         a=a,
-        spins=Spins(half.spins.R, Omega, Omega_dot),
+        spins=_known(start.spins, half.spins, theta, dt),
         external_work=half.external_work,
         reaction=half.reaction,
         rates=half.rates,
         damped=_damped(start, half, dt),
+        lumps=lumps,
     )
+
+
+def _known(start: Spins, half: Spins, theta: Float[Array, "*p 3"], dt) -> Spins:
+    """`history` for spins; θ are their rotations in the first half."""
+    Omega = -jnp.einsum("...ij,...i->...j", start.R, theta) / dt
+    return Spins(half.R, Omega, (3.0 * Omega - 4.0 * half.Omega + start.Omega) / dt)
 
 
 def _damped(start: NewmarkState, half: NewmarkState, dt) -> DampedState | None:

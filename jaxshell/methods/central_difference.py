@@ -114,6 +114,7 @@ class CentralDifference(Method):
                 "CentralDifference has no first moment of mass ∫ρz dz, which this section has, or may have while JAX "
                 "traces it: use an implicit method, or a laminate that is symmetric=True without offset."
             )
+        _check_joined(scene)
         if not all(is_concrete(leaf) for leaf in jax.tree.leaves((scene, steps))):
             return
         critical, largest = self.critical_step(scene), float(np.max(steps))
@@ -226,8 +227,13 @@ class CentralDifference(Method):
 
 
 def lumped_mass(model: Model) -> Float[Array, "n 6"]:
-    """A third of each element's mass and of its (ρh³/12)A at each of its nodes."""
-    return _lumped(model, None)
+    """A third of each element's mass and of its (ρh³/12)A at each of its nodes, and point masses."""
+    found = _lumped(model, None)
+    if model.lumps is None:
+        return found
+    ball = model.lumps.inertia[:, 0, 0]
+    own = jnp.stack([model.lumps.mass, ball], axis=1)
+    return found.at[model.lumps.at].add(jnp.repeat(own, 3, axis=1))
 
 
 def _lumped(model: Model, factors: Float[Array, " m"] | None) -> Float[Array, "n 6"]:
@@ -238,6 +244,20 @@ def _lumped(model: Model, factors: Float[Array, " m"] | None) -> Float[Array, "n
         third = third * factors[:, None]
     corner = jnp.broadcast_to(third[:, None, :, None], (third.shape[0], 3, 2, 3))
     return model.tables.nodal(corner.reshape(-1, 6))
+
+
+def _check_joined(scene: Scene) -> None:
+    """Raise ValueError for what an explicit step cannot have."""
+    if scene.bodies:
+        raise ValueError("CentralDifference has no rigid bodies, whose nodes' masses move as one: use another method.")
+    masses = scene.point_masses
+    if masses is None or not is_concrete(masses.inertia):
+        return
+    inertia = np.asarray(masses.inertia)
+    if inertia.size and np.abs(inertia - inertia[:, :1, :1] * np.eye(3)).max() > 1e-12 * np.abs(inertia).max():
+        raise ValueError(
+            "CentralDifference has no gyroscopic moments: a point mass's inertia must be one value, a ball's, here."
+        )
 
 
 def _internal(model: Model, x, R, time, before=None, dt=None) -> tuple[Float[Array, "n 6"], Float[Array, ""], Any]:

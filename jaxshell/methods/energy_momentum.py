@@ -17,7 +17,7 @@ from jaxshell.elements import corotational, energy_momentum
 from jaxshell.elements.corotational import Element
 from jaxshell.elements.energy_momentum import StepStart, edges_of, mid_matrix, spin_matrix
 from jaxshell.elements.inertia import LINEAR_MASS
-from jaxshell.methods import predictor
+from jaxshell.methods import masses, predictor
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Motion, Observation
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import PredictedState
@@ -123,10 +123,16 @@ class EnergyMomentum(ImplicitMethod):
         K = K + director_inertia_tangent(motion, u, data.inertia, data.element, step.dt, _alpha(data))
         return K
 
+    def lump_force(self, u: Float[Array, "6"], lump: masses.ExactStart, step: Shared):
+        return masses.exact_force(u, lump, step.dt)
+
     # --- the shell -----------------------------------------------------------------------------------------
 
     def weight_at_end(self, step: Shared):
         return 0.5
+
+    def mean_turn(self, theta):
+        return mid_matrix(theta)
 
     def predict(self, model: Model, state: EnergyMomentumState, dt) -> Float[Array, "n 6"]:
         """Extrapolation of the last steps, or a start without new strains where that leaves a smaller residual.
@@ -139,7 +145,7 @@ class EnergyMomentum(ImplicitMethod):
         is_force = model.tables.free % 6 < 3
 
         def unbalanced(u):
-            u = model.expand(model.free(u), held)
+            u = self.increments(model, state, model.unknowns(u), held)
             return jnp.sum(jnp.where(is_force, model.free(self.balance(model, state, begun, u).residual), 0.0) ** 2)
 
         smooth = predictor.extrapolate(state.rates, dt)
@@ -194,7 +200,8 @@ class EnergyMomentum(ImplicitMethod):
         elements = model.elements_at((0.5, state.time), (0.5, state.time + dt))  # one stress-free state for the step
         kin = jax.vmap(corotational.kinematics)(x, R, elements)
         data = ElementData(elements, StepStart(jax.vmap(edges_of)(x), kin), motion, damping=model.damping)
-        return Begun(data, Shared(dt, self.dissipation), middle(model.dead_load), state.time + dt)
+        lumps = None if model.lumps is None else masses.exact_start(model.lumps, state.v, state.R, state.W)
+        return Begun(data, Shared(dt, self.dissipation), middle(model.dead_load), state.time + dt, lumps)
 
     def finish(self, model: Model, state: EnergyMomentumState, dt, u, motion, begun) -> EnergyMomentumState:
         data, step = begun.data, begun.step
@@ -259,6 +266,9 @@ class EnergyMomentum(ImplicitMethod):
         kinetic = 0.5 * (jnp.sum(v * momentum) + jnp.sum(rates * spin))
         linear = jnp.sum(momentum, axis=(0, 1))
         angular = jnp.sum(jnp.cross(x, momentum) + jnp.cross(directors, spin), axis=(0, 1))
+        if model.lumps is not None:
+            more = masses.exact_momentum(model.lumps, state.x, state.v, state.R, state.W)
+            kinetic, linear, angular = kinetic + more.kinetic, linear + more.linear, angular + more.angular
         strain = model.strain_energy(state.x, state.R, state.time)
         return Observation(kinetic, strain, state.external_work, state.dissipated, linear, angular)
 

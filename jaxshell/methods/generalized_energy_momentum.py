@@ -17,7 +17,7 @@ from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational, inertia
 from jaxshell.elements.corotational import Element, Kinematics
 from jaxshell.elements.inertia import Spins, StepFactors
-from jaxshell.methods import damping, predictor, seven_point, traditional
+from jaxshell.methods import damping, masses, predictor, seven_point, traditional
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation, may_have_first_moment
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
 from jaxshell.methods.state import PredictedState
@@ -39,6 +39,8 @@ class GEMState(PredictedState):
     """Of the last steps, for the predictor."""
     damped: damping.DampedState | None = None
     """Of a scene with damping."""
+    lumps: Spins | None = None
+    """Of point masses."""
 
 
 class ElementData(NamedTuple):
@@ -142,6 +144,9 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             K = K + jnp.pad(blocks, [(0, 0), (3, 0)] * 2).reshape(18, 18)
         return K
 
+    def lump_force(self, u, lump: masses.Start, step: Shared):
+        return masses.force(u, lump, step.factors)
+
     # --- the shell -----------------------------------------------------------------------------------------
 
     def weight_at_end(self, step: Shared):
@@ -165,6 +170,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             external_work=jnp.zeros(()),
             rates=rates,
             damped=damping.initial_state(model, x, R, v, omega, a),
+            lumps=masses.initial_spins(model.lumps, R, omega, jnp.zeros_like(omega)),
         )
 
     def _initial_spins(self, model: Model, R, omega) -> Spins | None:
@@ -192,7 +198,8 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         kin = jax.vmap(corotational.kinematics)(x, R, elements)
         Lambda = jax.vmap(lambda kin: corotational.gradient_to_global(corotational.deformation_gradient(kin), kin))(kin)
         data = ElementData(elements, kin, Lambda, v, a, R, spins, damped)
-        return Begun(data, Shared(factors, jnp.asarray(self.dissipation)), loads, end)
+        lumps = masses.start(model.lumps, state.v, state.a, state.lumps)
+        return Begun(data, Shared(factors, jnp.asarray(self.dissipation)), loads, end, lumps)
 
     def finish(self, model: Model, state: GEMState, dt, u, motion, begun) -> GEMState:
         factors = begun.step.factors
@@ -215,6 +222,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             external_work=state.external_work + work,
             rates=predictor.remember(state.rates, u, dt),
             damped=damping.finish(state.damped, model, begun.data.damped, motion, u, turning, factors, taken),
+            lumps=masses.turned(model.lumps, u, state.lumps, factors),
         )
 
     def _turning(self, model: Model, u, spins) -> Any:
@@ -235,6 +243,9 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         if self.inertia == "traditional":
             turning, spin_momentum = traditional.energy_and_momentum(model, state.spins)
             kinetic, angular = kinetic + turning, angular + spin_momentum
+        if model.lumps is not None and state.lumps is not None:
+            more = masses.momentum(model.lumps, state.x, state.v, state.lumps)
+            kinetic, linear, angular = kinetic + more.kinetic, linear + more.linear, angular + more.angular
         strain = model.strain_energy(state.x, state.R, state.time)
         dissipated = damping.dissipated(state.damped)
         return Observation(kinetic, strain, state.external_work, dissipated, linear, angular)

@@ -26,7 +26,7 @@ from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
 from jaxshell.elements.inertia import PointStart, Spins, StepFactors
-from jaxshell.methods import damping, predictor, seven_point
+from jaxshell.methods import damping, masses, predictor, seven_point
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
 from jaxshell.methods.start import initial_motion, initial_translational_acceleration
 from jaxshell.methods.state import PredictedState
@@ -50,6 +50,8 @@ class NewmarkState(PredictedState):
     """Of the last steps, for the predictor."""
     damped: damping.DampedState | None = None
     """Of a scene with damping."""
+    lumps: Spins | None = None
+    """Of point masses."""
 
 
 class ElementData(NamedTuple):
@@ -94,6 +96,9 @@ class ForceLevelMethod(ImplicitMethod):
         acceleration = step.mid_acceleration(u[:, :3], data.v, data.a, alpha)
         return K + seven_point.inertial_tangent(motion.theta, data.points, data.element, step, acceleration, alpha)
 
+    def lump_force(self, u, lump: masses.Start, step: StepFactors):
+        return masses.force(u, lump, step)
+
     # --- the shell -----------------------------------------------------------------------------------------
 
     def weight_at_end(self, step: StepFactors):
@@ -109,7 +114,7 @@ class ForceLevelMethod(ImplicitMethod):
             if model.resisting:
                 here = x, R, jnp.asarray(time)
                 force = force - model.resistance(here, here, jnp.concatenate([v, omega], axis=1))
-            reaction = force.reshape(-1)[model.tables.held]
+            reaction = model.collected(force, R).reshape(-1)[model.tables.held]
         a = initial_translational_acceleration(model, x, R, time, v, omega)
         return NewmarkState(
             time=jnp.asarray(time, float),
@@ -122,6 +127,7 @@ class ForceLevelMethod(ImplicitMethod):
             reaction=reaction,
             rates=predictor.initial_rates(v, omega),
             damped=damping.initial_state(model, x, R, v, omega, a),
+            lumps=masses.initial_spins(model.lumps, R, omega, jnp.zeros_like(omega)),
         )
 
     def begin(self, model: Model, state: NewmarkState, dt):
@@ -137,7 +143,8 @@ class ForceLevelMethod(ImplicitMethod):
         v, a = model.gather((state.v, state.a))
         points = seven_point.points_at_start(model, state.spins)
         damped = damping.begin(model, state.damped, state.x, state.R)
-        return Begun(ElementData(model.elements_at((1.0, end)), v, a, points, damped), factors, loads, end)
+        lumps = masses.start(model.lumps, state.v, state.a, state.lumps)
+        return Begun(ElementData(model.elements_at((1.0, end)), v, a, points, damped), factors, loads, end, lumps)
 
     def finish(self, model: Model, state: NewmarkState, dt, u, motion, begun) -> NewmarkState:
         factors = begun.step
@@ -151,7 +158,7 @@ class ForceLevelMethod(ImplicitMethod):
             # The balance gives the reaction at t_{n+1-αf}; brought to the middle of the step, linearly.
             reaction = self.balance(model, state, begun, u).residual.reshape(-1)[model.tables.held]
             middle = (0.5 + factors.alpha_f) * reaction + (0.5 - factors.alpha_f) * state.reaction
-            work = work + jnp.sum(middle * u.reshape(-1)[model.tables.held])
+            work = work + jnp.sum(middle * model.along_held(u))
         turning = damping.turning_of_points(model, u, state.spins)
         taken = self.taken(model, state, begun, motion, u)
         return NewmarkState(
@@ -165,11 +172,15 @@ class ForceLevelMethod(ImplicitMethod):
             reaction=reaction,
             rates=predictor.remember(state.rates, u, dt),
             damped=damping.finish(state.damped, model, begun.data.damped, motion, u, turning, factors, taken),
+            lumps=masses.turned(model.lumps, u, state.lumps, factors),
         )
 
     def observe(self, model: Model, state: NewmarkState) -> Observation:
         """Energies and momenta of the end of the step, eqs. (27), (28), (34), (61)."""
         kinetic, linear, angular = seven_point.kinetic_and_momenta(model, state.x, state.v, state.spins)
+        if model.lumps is not None and state.lumps is not None:
+            more = masses.momentum(model.lumps, state.x, state.v, state.lumps)
+            kinetic, linear, angular = kinetic + more.kinetic, linear + more.linear, angular + more.angular
         strain = model.strain_energy(state.x, state.R, state.time)
         dissipated = damping.dissipated(state.damped)
         return Observation(kinetic, strain, state.external_work, dissipated, linear, angular)

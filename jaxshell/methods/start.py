@@ -23,8 +23,14 @@ def initial_motion(model: Model, scene: Scene) -> tuple[Nodal, Float[Array, "n 3
         R = R if initial.rotations is None else jnp.asarray(initial.rotations)
         v = v if initial.velocities is None else jnp.asarray(initial.velocities)
         omega = omega if initial.angular_velocities is None else jnp.asarray(initial.angular_velocities)
-    rates = jnp.concatenate([v, omega], axis=1).reshape(-1).at[model.tables.held].set(0.0).reshape(n, 6)
-    return x, R, rates[:, :3], rates[:, 3:]
+    rates = jnp.concatenate([v, omega], axis=1)
+    if model.elimination is not None:
+        rates = model.elimination.along(rates)
+    rates = rates.reshape(-1).at[model.tables.held].set(0.0).reshape(n, 6)
+    if model.elimination is None:
+        return x, R, rates[:, :3], rates[:, 3:]
+    rates = model.elimination.nodal_forces(rates)
+    return model.elimination.placed(x, R, rates[:, :3], rates[:, 3:])
 
 
 def initial_translational_acceleration(
@@ -44,11 +50,20 @@ def initial_translational_acceleration(
     is_free = jnp.zeros(6 * n).at[model.tables.free].set(1.0).reshape(n, 6)[:, :3]
     mass = model.elements.mass_per_area * model.elements.area
 
+    lumped = jnp.zeros((n, 1))
+    if model.lumps is not None:
+        lumped = lumped.at[model.lumps.at, 0].add(model.lumps.mass)
+
     def product(a):
         corner = mass[:, None, None] * (jnp.asarray(LINEAR_MASS) @ model.gather(a * is_free))
-        return is_free * model.tables.nodal(corner.reshape(-1, 3)) + (1.0 - is_free) * a
+        found = model.tables.nodal(corner.reshape(-1, 3))
+        if model.lumps is not None:
+            found = found + lumped * a
+        return is_free * found + (1.0 - is_free) * a
 
     diagonal = model.tables.nodal(jnp.repeat(mass / 6.0, 3))[:, None]
+    if model.lumps is not None:
+        diagonal = diagonal + lumped
     scale = jnp.where(is_free > 0, 1.0 / diagonal, 1.0)
     found, _ = jax.scipy.sparse.linalg.cg(
         product, is_free * force[:, :3], tol=1e-15, maxiter=200, M=lambda r: scale * r

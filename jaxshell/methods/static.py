@@ -186,4 +186,5 @@ def reactions_at(model: Model, d, R, time) -> Float[Array, "n 6"]:
     state = StaticState(jnp.asarray(time), d, R, jnp.zeros_like(d), zero)
     residual = method.balance(model, state, method.begin(model, state, zero), jnp.zeros((d.shape[0], 6))).residual
     is_held = jnp.zeros(residual.size).at[model.tables.held].set(1.0).reshape(residual.shape)
-    return is_held * residual
+    carried = is_held * residual
+    return carried if model.elimination is None else model.elimination.nodal_forces(carried)

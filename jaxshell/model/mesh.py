@@ -5,6 +5,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -15,6 +16,7 @@ from jaxshell.model.mesh_file import read_cells
 from jaxshell.model.sets import Sets
 from jaxshell.numerics.checks import (
     check_choice,
+    check_count,
     check_finite,
     check_positive_number,
     check_shape,
@@ -41,6 +43,8 @@ class _OfMeshOrArrays:
     def __get__(self, instance, owner) -> Any:
         if instance is None:
             return self.function
+        if instance.points:
+            raise ValueError("The mesh has points besides its triangles: mend it before with_points.")
         sets = {name: getattr(instance, name) for name in ("node_sets", "element_sets", "side_sets")}
         return lambda *arguments, **named: self.function(
             instance.nodes, instance.triangles, *arguments, **(sets | named)
@@ -110,6 +114,8 @@ class Mesh(eqx.Module):
         node_sets, element_sets: {name: numbers (k,)}. Whatever takes nodes or elements takes a set's name. Sets may
             overlap.
         side_sets: {name: edges (k, 2) by the nodes at their ends}, for what acts on edges.
+        points: how many of the last nodes belong to no triangle: references of rigid bodies, anchors, ...; see
+            `with_points`.
 
     `Mesh.merged` joins coincident nodes and `Mesh.oriented` turns triangles, both from the same arrays.
 
@@ -123,6 +129,7 @@ class Mesh(eqx.Module):
     node_sets: Sets = eqx.field(static=True)
     element_sets: Sets = eqx.field(static=True)
     side_sets: Sets = eqx.field(static=True)
+    points: int = eqx.field(static=True)
 
     merged = _OfMeshOrArrays(_merged)
     oriented = _OfMeshOrArrays(_oriented)
@@ -136,6 +143,7 @@ class Mesh(eqx.Module):
         node_sets: Mapping | None = None,
         element_sets: Mapping | None = None,
         side_sets: Mapping | None = None,
+        points: int = 0,
     ):
         require_float64()
         self.nodes = float_array(nodes, "nodes")
@@ -147,13 +155,15 @@ class Mesh(eqx.Module):
         check_shape("nodes", self.nodes, (None, 3))
         check_shape("triangles", self.triangles, (None, 3))
         check_finite("nodes", self.nodes)
-        check_connectivity(self.triangles, self.n_nodes)
+        check_count("points", points, least=0)
+        self.points = int(points)
+        check_connectivity(self.triangles, self.n_nodes, self.points)
         self.node_sets = Sets("node", node_sets, self.n_nodes)
         self.element_sets = Sets("element", element_sets, self.n_elements)
         self.side_sets = Sets("side", side_sets, self.n_nodes, ends=2)
         check_sides(self.side_sets, self.triangles)
-        if is_concrete(self.nodes):
-            check_shapes(np.asarray(self.nodes), self.triangles)
+        if is_concrete(self.nodes) and self.n_elements:
+            check_shapes(np.asarray(self.nodes)[: self.n_nodes - self.points], self.triangles)
             if coincident == "error":
                 check_coincident(np.asarray(self.nodes), self.triangles)
 
@@ -191,7 +201,37 @@ class Mesh(eqx.Module):
         """
         given = {"node_sets": node_sets, "element_sets": element_sets, "side_sets": side_sets}
         merged = {name: {**getattr(self, name), **({} if new is None else new)} for name, new in given.items()}
-        return Mesh(self.nodes, self.connectivity, coincident="allow", **merged)
+        return Mesh(self.nodes, self.connectivity, coincident="allow", points=self.points, **merged)
+
+    def with_points(self, points: Mapping[str, Any]) -> "Mesh":
+        """The mesh with nodes that belong to no triangle, {name: place (3,)}, each in a set of its name.
+
+        References of rigid bodies, anchors of springs, masses beside the shell. They follow the other nodes. Raises
+        ValueError for a name that a set of nodes has already.
+        """
+        if not isinstance(points, Mapping) or not points:
+            raise ValueError(f"points must be {{name: place (3,)}}, but it is {shown(points)}.")
+        places = []
+        for name, place in points.items():
+            if name in self.node_sets:
+                raise ValueError(f"The point {shown(name)} needs another name: a set of nodes has it.")
+            places.append(float_array(place, f"point {name!r}"))
+            check_shape(f"point {name!r}", places[-1], (3,))
+        numbers = {name: [self.n_nodes + k] for k, name in enumerate(points)}
+        return Mesh(
+            jnp.concatenate([self.nodes, jnp.stack(places)]),
+            self.connectivity,
+            coincident="allow",
+            node_sets={**self.node_sets, **numbers},
+            element_sets=self.element_sets,
+            side_sets=self.side_sets,
+            points=self.points + len(places),
+        )
+
+    @classmethod
+    def of_points(cls, points: Mapping[str, Any]) -> "Mesh":
+        """A mesh without a shell, for scenes of rigid bodies and point masses: points as in `with_points`."""
+        return cls(np.zeros((0, 3)), np.zeros((0, 3), int)).with_points(points)
 
     def nodes_where(self, condition: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """Indices of the nodes whose coordinates fulfil `condition(x)`, x of shape (3, n).

@@ -17,8 +17,8 @@ def triangle_areas(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
-def check_indices(triangles: np.ndarray, n_nodes: int) -> None:
-    if triangles.shape[0] == 0:
+def check_indices(triangles: np.ndarray, n_nodes: int, points: int = 0) -> None:
+    if triangles.shape[0] == 0 and n_nodes > points:
         raise ValueError("The mesh has no triangle.")
     outside = (triangles < 0) | (triangles >= n_nodes)
     if outside.any():
@@ -28,8 +28,11 @@ def check_indices(triangles: np.ndarray, n_nodes: int) -> None:
         )
 
 
-def check_connectivity(triangles: np.ndarray, n_nodes: int) -> None:
-    check_indices(triangles, n_nodes)
+def check_connectivity(triangles: np.ndarray, n_nodes: int, points: int = 0) -> None:
+    """`points` of the last nodes belong to no triangle."""
+    check_indices(triangles, n_nodes, points)
+    if (triangles >= n_nodes - points).any():
+        raise ValueError(f"A triangle names node {triangles.max()}, which is one of the mesh's {points} points.")
     ordered = np.sort(triangles, axis=1)
     twice = (ordered[:, 0] == ordered[:, 1]) | (ordered[:, 1] == ordered[:, 2])
     if twice.any():
@@ -41,7 +44,7 @@ def check_connectivity(triangles: np.ndarray, n_nodes: int) -> None:
         at = int(np.argmax(same))
         first, second = sorted(order[at : at + 2].tolist())
         raise ValueError(f"Triangles {first} and {second} are the same: {triangles[first].tolist()}. Remove one.")
-    used = np.zeros(n_nodes, bool)
+    used = np.zeros(n_nodes - points, bool)
     used[triangles] = True
     if not used.all():
         raise ValueError(

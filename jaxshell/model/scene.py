@@ -9,11 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxshell.model.connectors import Connector
+from jaxshell.model.connectors import Connector, RigidBody
 from jaxshell.model.contribution import Contribution
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.gauge import check_gauge, gauge_of
 from jaxshell.model.loads import InitialStrains, Load
+from jaxshell.model.masses import Masses, PointMass
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.obstacles import Obstacle
 from jaxshell.model.sections import AnySection, Regions
@@ -78,6 +79,27 @@ class Initial(eqx.Module):
             if value is not None:
                 check_shape(f"initial {name}", value, (n_nodes, *value.shape[1:]))
 
+    def completed(self, mesh: Mesh, bodies: "Sequence[RigidBody]") -> "Initial":
+        """With rows for the mesh's points where there are none: references move with the nodes of their bodies.
+
+        Other points are at rest.
+        """
+        given = {name: getattr(self, name) for name in ("velocities", "angular_velocities", "displacements")}
+        given["rotations"] = self.rotations
+        known = {len(value) for value in given.values() if value is not None and value.ndim > 1}
+        if known != {mesh.n_nodes - mesh.points} or not mesh.points:
+            return self
+        n, points = mesh.n_nodes - mesh.points, mesh.points
+        zeros, eyes = jnp.zeros((points, 3)), jnp.broadcast_to(jnp.eye(3), (points, 3, 3))
+        for name, value in given.items():
+            if value is not None:
+                given[name] = jnp.concatenate([value, eyes if name == "rotations" else zeros])
+        for body in bodies:
+            nodes = body.followers[body.followers < n]
+            if body.master >= n and nodes.size:
+                _follow(given, mesh, body.master, nodes)
+        return Initial(**given)
+
     @classmethod
     def rigid(cls, mesh: Mesh, velocity=(0.0, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.0), about=None) -> "Initial":
         """A rigid motion: `velocity` (3,) of the point `about` (3,) (default: the mean of the nodes), and a spin."""
@@ -86,6 +108,25 @@ class Initial(eqx.Module):
         centre = jnp.mean(mesh.nodes, axis=0) if about is None else _vector("about", about)
         velocities = velocity + jnp.cross(spin, mesh.nodes - centre)
         return cls(velocities, jnp.broadcast_to(spin, mesh.nodes.shape))
+
+
+def _follow(given: dict, mesh: Mesh, master: int, nodes: np.ndarray) -> None:
+    """Put into `given` the motion of a reference that moves with these nodes of its body, as their mean says."""
+    arms = mesh.nodes[nodes] - mesh.nodes[master]
+    if given["rotations"] is not None:
+        turned = given["rotations"][nodes[0]]
+        given["rotations"] = given["rotations"].at[master].set(turned)
+        arms = arms @ turned.T
+    if given["displacements"] is not None:
+        places = mesh.nodes[nodes] + given["displacements"][nodes] - arms
+        given["displacements"] = given["displacements"].at[master].set(places.mean(axis=0) - mesh.nodes[master])
+    spin = jnp.zeros(3)
+    if given["angular_velocities"] is not None:
+        spin = given["angular_velocities"][nodes].mean(axis=0)
+        given["angular_velocities"] = given["angular_velocities"].at[master].set(spin)
+    if given["velocities"] is not None:
+        moved = given["velocities"][nodes] - jnp.cross(spin, arms)
+        given["velocities"] = given["velocities"].at[master].set(moved.mean(axis=0))
 
 
 class Defaults(NamedTuple):
@@ -120,7 +161,9 @@ class Scene(eqx.Module):
             in a part.
         defaults: suggested time step, duration and methods (used by the command line only).
         damping: `RayleighDamping`, or None. Runs in time have it; statics and frequencies do not look at it.
-        connectors: what joins nodes with each other or with points of space: springs, dashpots, ...
+        masses: `PointMass` at nodes.
+        connectors: what joins nodes with each other or with points of space: springs, dashpots, joints, rigid bodies.
+            The mesh of the scene has the references of rigid bodies as points: see `Mesh.with_points`.
         obstacles: what the shell touches.
 
     Units are the user's, consistently. Raises ValueError for loads and supports on nodes that do not
@@ -136,6 +179,7 @@ class Scene(eqx.Module):
     watch: tuple[tuple[str, int, str], ...] = eqx.field(static=True)
     defaults: Defaults | None = eqx.field(static=True)
     damping: RayleighDamping | None
+    masses: tuple[PointMass, ...]
     connectors: tuple[Connector, ...]
     obstacles: tuple[Obstacle, ...]
 
@@ -150,23 +194,26 @@ class Scene(eqx.Module):
         watch: Mapping[str, tuple[int | str, str]] | Sequence[tuple[str, int | str, str]] | None = None,
         defaults: Defaults | None = None,
         damping: RayleighDamping | None = None,
+        masses: Sequence[PointMass] = (),
         connectors: Sequence[Connector] = (),
         obstacles: Sequence[Obstacle] = (),
     ):
         check_kind("mesh", mesh, Mesh, "a jaxshell.Mesh")
         if isinstance(section, Mapping | list | tuple):
             section = Regions.of(mesh, section)
+        mesh, connectors = _with_references(mesh, connectors)
         check_kind("section", section, AnySection, "a section such as jaxshell.Section")
         self.mesh = mesh
         self.section = cast(AnySection, section)
         self.supports = _placed("support", _objects("supports", supports, Support, "jaxshell.Support"), mesh)
         self.loads = _placed("load", _objects("loads", loads, Load, "loads such as jaxshell.NodalForce"), mesh)
-        self.initial = initial
+        bodies = [item for item in connectors if isinstance(item, RigidBody)]
+        self.initial = initial.completed(mesh, bodies) if isinstance(initial, Initial) else initial
         self.name = name
         self.watch = _watched(watch, mesh)
         self.defaults = defaults
         self.damping = damping
-        connectors = _objects("connectors", connectors, Connector, "connectors such as jaxshell.Spring")
+        self.masses = _placed("mass", _objects("masses", masses, PointMass, "jaxshell.PointMass"), mesh)
         self.connectors = _placed("connector", connectors, mesh)
         self.obstacles = _placed("obstacle", _objects("obstacles", obstacles, Obstacle, "jaxshell.Plane"), mesh)
 
@@ -192,7 +239,8 @@ class Scene(eqx.Module):
         self._check_prescribed_once()
 
     def _check_items(self):
-        kinds = {"load": self.loads, "connector": self.connectors, "obstacle": self.obstacles}
+        kinds = {"load": self.loads, "mass": self.masses}
+        kinds |= {"connector": self.connectors, "obstacle": self.obstacles}
         for kind, items in kinds.items():
             for position, item in enumerate(items):
                 try:
@@ -238,6 +286,49 @@ class Scene(eqx.Module):
         return tuple(load for load in self.loads if isinstance(load, InitialStrains))
 
     @property
+    def bodies(self) -> tuple[RigidBody, ...]:
+        """The connectors that are rigid bodies."""
+        return tuple(item for item in self.connectors if isinstance(item, RigidBody))
+
+    @property
+    def point_masses(self) -> Masses | None:
+        """The masses at nodes, those of rigid bodies among them; None where there are none."""
+        bodies = [b for b in self.bodies if b.inertia is not None or not is_concrete(b.mass) or b.mass > 0]
+        if not self.masses and not bodies:
+            return None
+        nodes = [item.nodes.array for item in self.masses] + [np.array([body.master]) for body in bodies]
+        items = (*self.masses, *bodies)
+        mass = [jnp.broadcast_to(item.mass, (len(n),)) for item, n in zip(items, nodes, strict=True)]
+        turning = [(i.inertia, n) for i, n in zip(items, nodes, strict=True) if i.inertia is not None]
+        tensors = [jnp.broadcast_to(inertia, (len(n), 3, 3)) for inertia, n in turning]
+        return Masses(
+            Frozen(np.concatenate(nodes)),
+            jnp.concatenate(mass),
+            Frozen(np.concatenate([np.zeros(0, int), *(n for _, n in turning)])),
+            jnp.concatenate([jnp.zeros((0, 3, 3)), *tensors]),
+        )
+
+    @property
+    def masters(self) -> Frozen | None:
+        """(n,) the node that each node follows: itself, or the reference of its rigid body; None without bodies."""
+        if not self.bodies:
+            return None
+        masters = np.arange(self.mesh.n_nodes)
+        for body in self.bodies:
+            masters[body.followers] = body.master
+        return Frozen(masters)
+
+    @property
+    def turned(self) -> Frozen | None:
+        """The nodes with axes of their own; None where there are none."""
+        return None
+
+    @property
+    def axes(self) -> Float[jax.Array, "s 3 3"]:
+        """Theirs, as columns."""
+        return jnp.zeros((0, 3, 3))
+
+    @property
     def held_dofs(self) -> np.ndarray:
         """Sorted numbers 6·node + dof of all degrees of freedom that supports hold or move."""
         numbers = [support.dof_numbers.ravel() for support in self.supports]
@@ -264,6 +355,19 @@ def _objects(name: str, value, kind: type, public: str) -> tuple[Any, ...]:
     for position, item in enumerate(value):
         check_kind(f"{name}[{position}]", item, kind, f"one of {public}")
     return tuple(value)
+
+
+def _with_references(mesh: Mesh, connectors) -> tuple[Mesh, tuple[Connector, ...]]:
+    """The mesh with the references of rigid bodies as points, and the connectors with their numbers."""
+    found = []
+    for item in _objects("connectors", connectors, Connector, "connectors such as jaxshell.Spring"):
+        if isinstance(item, RigidBody):
+            try:
+                item, mesh = item.placed(mesh, len(found))
+            except ValueError as error:
+                raise ValueError(f"connector {len(found)}: {error}") from error
+        found.append(item)
+    return mesh, tuple(found)
 
 
 def _placed(what: str, items: tuple[Any, ...], mesh: Mesh) -> tuple[Any, ...]:

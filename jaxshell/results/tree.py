@@ -13,6 +13,7 @@ from jaxshell.model.connectors import CONNECTORS
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.history import History
 from jaxshell.model.loads import LOADS
+from jaxshell.model.masses import PointMass
 from jaxshell.model.materials import MATERIALS
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.obstacles import OBSTACLES
@@ -23,10 +24,10 @@ from jaxshell.model.supports import Support
 from jaxshell.numerics.frozen import Frozen
 from jaxshell.results.checked import has, read_text, write_array, write_attribute, write_text
 
-_PARTS = (Mesh, Ply, Cylindrical, Support, History, Initial, RayleighDamping)
+_PARTS = (Mesh, PointMass, Ply, Cylindrical, Support, History, Initial, RayleighDamping)
 _KINDS = {kind.__name__: kind for kind in (*_PARTS, *SECTIONS, *MATERIALS, *LOADS, *CONNECTORS, *OBSTACLES)}
-_ITEMS = ("supports", "loads", "connectors", "obstacles")
-"""What a scene has several of. Of the last two nothing is written where there are none: older files have none."""
+_ITEMS = ("supports", "loads", "masses", "connectors", "obstacles")
+"""What a scene has several of. Of the last three nothing is written where there are none: older files have none."""
 _LIST, _SETS = "list", "sets"
 """The kinds of groups that hold a tuple of objects or arrays, and named sets."""
 _TEXT = "json:"

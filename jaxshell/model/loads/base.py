@@ -39,6 +39,10 @@ class DeadLoad(Load):
         `x0` (n, 3) are the nodes of the stress-free shape, `triangles` (m, 3), `mass_per_area` (m,).
         """
 
+    def on_masses(self, mass: Float[Array, " k"]) -> Float[Array, "k 3"] | None:
+        """Forces on point masses for factor 1; None where it does not act on them."""
+        return None
+
 
 def given_history(history: History | None) -> History:
     """`history`, or a constant one. Raises ValueError for anything else."""

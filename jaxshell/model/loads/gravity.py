@@ -38,3 +38,6 @@ class Gravity(DeadLoad):
         for corner in range(3):
             forces = forces.at[triangles[:, corner], :3].add(share)
         return forces
+
+    def on_masses(self, mass: Float[jax.Array, " k"]) -> Float[jax.Array, "k 3"]:
+        return mass[:, None] * self.acceleration
