@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         GeneralizedEnergyMomentum,
         Newmark,
     )
-    from jaxshell.model.connectors import RigidBody
+    from jaxshell.model.connectors import Hinge, RigidBar, RigidBody, Slider, Spherical
     from jaxshell.model.damping import RayleighDamping
     from jaxshell.model.loads import (
         EdgeForce,
@@ -86,6 +86,7 @@ __all__ = [
     "GeneralizedAlpha",
     "GeneralizedEnergyMomentum",
     "Gravity",
+    "Hinge",
     "History",
     "Initial",
     "InitialStrain",
@@ -107,13 +108,16 @@ __all__ = [
     "PointMass",
     "Pressure",
     "RayleighDamping",
+    "RigidBar",
     "RigidBody",
     "Scene",
     "Section",
     "SectionForces",
     "SectionStrains",
     "SimulationError",
+    "Slider",
     "Solution",
+    "Spherical",
     "StepControl",
     "Stored",
     "Strengths",
@@ -215,7 +219,7 @@ _HOMES = {
     "analyses.step_control": ["StepControl"],
     "analyses.sweep.run": ["sweep"],
     "model.masses": ["PointMass"],
-    "model.connectors": ["RigidBody"],
+    "model.connectors": ["Hinge", "RigidBar", "RigidBody", "Slider", "Spherical"],
     "model.supports": ["Support", "clamped", "pinned", "symmetry"],
 }
 """The public names by their modules. A package's own name stands for the package."""

@@ -124,7 +124,7 @@ class _Step(NamedTuple):
     def two_solutions(self, free, last, increment, residual):
         """δu_r and δu_q at the iterate `free`, reached from `last`; each as free degrees of freedom."""
         model = self.model
-        linear = self.plan.solvers.linear._replace(units=model.units)
+        linear = self.plan.solvers.linear.posed(model)
         begun = _STATIC.begin(model, self.state, increment)
         held = increment * self.held_rate
         u = _STATIC.increments(model, self.state, free, held)

@@ -27,7 +27,7 @@ from jaxshell.assembly.discretised import Model, elimination_of, structure_of
 from jaxshell.assembly.sparsity import SparsityPattern
 from jaxshell.assembly.tables import Tables, analyse
 from jaxshell.elements import corotational
-from jaxshell.elements.inertia import LINEAR_MASS
+from jaxshell.elements.inertia import mass_matrix
 from jaxshell.model.mechanisms import check_supported, connected_parts
 from jaxshell.model.scene import Scene
 from jaxshell.numerics import rotations
@@ -228,7 +228,7 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
         loads = loads - model.internal_force(*at_rest, 1.0)
     K = model.matrix_at(at_rest[1], matrices, model.stiffness_of(model.elastic, *at_rest, 1.0))
     load = model.free(model.collected(loads - internal, at_rest[1]))
-    free = Linear(default_solver(), handle, model.units).solve_once(K, load)
+    free = Linear(default_solver(), handle).posed(model).solve_once(K, load)
     nodal = model.spread(free, held, at_rest[1])
     u = model.gather(nodal)
 
@@ -262,23 +262,6 @@ def _stressed(model: Model, at_rest, nodal: Float[Array, "n 6"]):
         return jax.jvp(stiffness, (jnp.zeros(()),), (jnp.ones(()),))[1]
 
     return [(acting, along(acting)) for acting in model.elastic]
-
-
-def mass_matrix(R: Float[Array, "3 3 3"], element: corotational.Element) -> Float[Array, "18 18"]:
-    """Consistent mass of one element turned by the nodal rotations R: eq. (34) with ṫ_a = -~t_a ω_a.
-
-    A section's first moment ∫ρz dz couples velocities and spins.
-    """
-    mass = element.area * jnp.asarray(LINEAR_MASS)
-    turn = -jax.vmap(rotations.skew)(R @ element.frame[2])
-    translational = element.mass_per_area * mass[:, None, :, None] * jnp.eye(3)[None, :, None, :]
-    rotational = element.rotary_inertia * jnp.einsum("ab,aki,bkj->aibj", mass, turn, turn)
-    coupled = lever = jnp.zeros_like(rotational)
-    if element.first_moment is not None:  # v·ṫ of ∫ρz dz
-        coupled = element.first_moment * jnp.einsum("ab,bij->aibj", mass, turn)
-        lever = jnp.transpose(coupled, (2, 3, 0, 1))
-    rows = [jnp.stack([translational, coupled], axis=3), jnp.stack([lever, rotational], axis=3)]
-    return jnp.stack(rows, axis=1).reshape(18, 18)
 
 
 # --- eigenvalues on the host ------------------------------------------------------------------------------

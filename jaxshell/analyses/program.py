@@ -66,7 +66,7 @@ class Plan(NamedTuple):
 def prepare(scene: Scene, tables: Tables, plan: Plan):
     """Model, start and its record."""
     model = Model.build(scene, tables)
-    state = plan.method.start(model, scene, 0.0)
+    state = plan.method.start(model, scene, 0.0, plan.solvers)
     memory = plan.solvers.linear.memory(plan.solvers.newton) if plan.method.uses_matrix else None
     zero = jnp.zeros((), jnp.int32)
     return model, Carry(state, memory, zero + SUCCESSFUL), *first(model, plan, state)
@@ -76,7 +76,7 @@ def prepare(scene: Scene, tables: Tables, plan: Plan):
 def first(model: Model, plan: Plan, state):
     """Record and frame of the state at the start; no balance has been solved, and no reaction is known."""
     zero = jnp.zeros((), jnp.int32)
-    reaction = jnp.full(model.tables.held.shape, jnp.nan) if plan.reactions else None
+    reaction = jnp.full(model.tables.supported, jnp.nan) if plan.reactions else None
     return record(model, plan, state, reaction, zero, zero, jnp.array(True)), frame(model, state)
 
 
@@ -124,7 +124,8 @@ def carried(model: Model, plan: Plan, before, after, dt) -> Float[Array, " nh"] 
     """
     if not plan.reactions:
         return None
-    return plan.method.unbalanced(model, before, after, dt).reshape(-1)[model.tables.held]
+    held = model.tables.held[: model.tables.supported]
+    return plan.method.unbalanced(model, before, after, dt).reshape(-1)[held]
 
 
 def record(model: Model, plan: Plan, state, reaction, iterations, factorizations, done) -> Record:
@@ -153,7 +154,10 @@ def read(model: Model, state: State, gauge: Watching):
 
 def frame(model: Model, state: State) -> Frame:
     """The shape and the motion of all nodes."""
-    return Frame(state.time, state.displacements(model.x0), state.R, state.v)
+    shape = state.displacements(model.x0), state.R, state.v
+    if model.tables.multipliers:
+        shape = tuple(nodal[: model.tables.nodes] for nodal in shape)
+    return Frame(state.time, *shape)
 
 
 @compiled

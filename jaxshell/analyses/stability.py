@@ -112,7 +112,7 @@ def critical(model: Model, solvers: Solvers, before: StaticState, state: StaticS
     nodes = state.d.shape[0]
     begun, still = _STATIC.begin(model, state, jnp.zeros(())), jnp.zeros((nodes, 6))
     no_motion = jnp.zeros(model.tables.held.shape)
-    linear = solvers.linear._replace(units=model.units)
+    linear = solvers.linear.posed(model)
     if memory is None or solvers.newton.reuse:
         values = _STATIC.tangent(model, state, begun, still, None, solvers.tangent)
         _, factorization, values = linear.factor_and_solve(values, jnp.zeros(linear.handle.size))

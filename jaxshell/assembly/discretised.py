@@ -5,6 +5,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxshell.assembly.elimination import Blocks, Elimination
@@ -13,7 +14,7 @@ from jaxshell.assembly.lumps import Lumps, lumped_nodes, lumps_of
 from jaxshell.assembly.tables import Structure, Tables
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
-from jaxshell.model.contribution import Contribution, Elastic, Place, Resisting, Surface
+from jaxshell.model.contribution import Constraint, Contribution, Elastic, Place, Resisting, Surface, displaced
 from jaxshell.model.damping import Damping
 from jaxshell.model.history import History
 from jaxshell.model.loads import DeadLoad
@@ -38,6 +39,15 @@ class Acting(eqx.Module):
         """Its groups, each leaf with a leading axis k."""
         times = jnp.broadcast_to(time, self.nodes.shape[:1])
         return Place(x[self.nodes], R[self.nodes], times)
+
+    @property
+    def constrains(self) -> bool:
+        return isinstance(self.contribution, Constraint)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether its work is external work."""
+        return not isinstance(self.contribution, Elastic | Resisting | Constraint)
 
     @property
     def is_elastic(self) -> bool:
@@ -70,6 +80,36 @@ class Acting(eqx.Module):
     def mean_stiffness(self, start: Place, end: Place) -> Float[Array, "k d d"]:
         return jax.vmap(self.contribution.mean_stiffness)(self.data, start, end)
 
+    def constraint_stiffness(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, "k d d"]:
+        """Of a constraint by displacements and spins, multipliers among them: as they stand in the stiffness."""
+        assert isinstance(self.contribution, Constraint)
+        constraint = self.contribution
+
+        def one(data, place):
+            def balanced(change):
+                return -constraint.balanced(data, place, displaced(place, change), 1.0).reshape(-1)
+
+            return jax.jacfwd(balanced)(jnp.zeros(6 * place.x.shape[0]))
+
+        return jax.vmap(one)(self.data, self.places(x, R, time))
+
+    def bending_of_motion(self, x, R, time, rates: Float[Array, "n 6"], known: Float[Array, "n 6"]):
+        """(k, c, 6) what the conditions of a constraint are accelerated by in a motion with these rates and with no
+        accelerations but the known: at the nodes of the multipliers, and with their unit."""
+        assert isinstance(self.contribution, Constraint)
+        constraint = self.contribution
+
+        def one(data, place, rates, known):
+            def along(t):
+                change = (t * rates + 0.5 * t * t * known).reshape(-1)
+                return constraint.balanced(data, place, displaced(place, change), 1.0)
+
+            return jax.jvp(lambda t: jax.jvp(along, (t,), (1.0,))[1], (0.0,), (1.0,))[1]
+
+        # Where multipliers vanish, so do the forces on the other nodes.
+        x = x.at[self.nodes[:, -constraint.multipliers :]].set(0.0)
+        return jax.vmap(one)(self.data, self.places(x, R, time), rates[self.nodes], known[self.nodes])
+
 
 class Model(eqx.Module):
     """A scene as arrays: what the methods compute with. Differentiable in every float of the scene."""
@@ -93,11 +133,13 @@ class Model(eqx.Module):
     """None where every node's own degrees of freedom are unknown or held."""
     lumps: Lumps | None = None
     """The point masses; None where there are none."""
+    multiplier_unit: Float[Array, ""] | None = None
+    """What a multiplier of 1 means [force/length]; None where there are none."""
 
     @classmethod
     def build(cls, scene: Scene, tables: Tables) -> "Model":
         """The model of a scene; `tables` are of its `structure_of`."""
-        x0 = scene.mesh.nodes
+        x0 = jnp.concatenate([scene.mesh.nodes, jnp.zeros((tables.multipliers, 3))])
         elements = jax.vmap(Element.build)(x0[tables.triangles], scene.section.resultants(scene.mesh))
         lumps = _lumps(scene, tables)
         dead = tuple(
@@ -105,15 +147,23 @@ class Model(eqx.Module):
             for load in scene.loads
             if isinstance(load, DeadLoad)
         )
-        surface = Surface(x0, tables.triangles, elements.mass_per_area, elements.area, elements.frame[:, 2])
+        size = _size(scene)
+        surface = Surface(
+            x0,
+            tables.triangles,
+            elements.mass_per_area,
+            elements.area,
+            elements.frame[:, 2],
+            jax.lax.stop_gradient(size),
+        )
         moving = tuple(support for support in scene.supports if support.displacement is not None)
-        size = jnp.linalg.norm(jnp.max(x0, axis=0) - jnp.min(x0, axis=0))
         damping = None if scene.damping is None else scene.damping.per_element(scene.mesh.n_elements)
-        acting = _acting(scene, tables, surface)
+        unit = _membrane_scale(elements, lumps) if tables.multipliers else None
+        acting = _acting(scene, tables, surface, unit)
         histories = (load.history for load in scene.initial_strains)
         rests = tuple(zip(rest_deformations(scene, elements), histories, strict=True))
         gauges, elimination = watching(scene, elements), elimination_of(scene, tables)
-        return cls(x0, elements, dead, acting, rests, moving, size, tables, damping, gauges, elimination, lumps)
+        return cls(x0, elements, dead, acting, rests, moving, size, tables, damping, gauges, elimination, lumps, unit)
 
     def elements_at(self, *weighted: tuple[Any, Any]) -> Element:
         """The elements with the mean of their stress-free states at some times: (weight, time) each.
@@ -146,13 +196,29 @@ class Model(eqx.Module):
         return root * jnp.where(self.tables.free % 6 < 3, length, 1.0)
 
     @property
+    def soft(self) -> tuple[Int[Array, " q"], Float[Array, " q"]] | None:
+        """Places of the zeros that multipliers have on the diagonal, and the squares of the entries of their rows, in
+        the units of the unknowns. None where there are none."""
+        if self.tables.zeros is None or self.multiplier_unit is None:
+            return None
+        rows = self.multiplier_unit * self.units[self.tables.constrained] ** 2
+        return self.tables.zeros, rows * rows
+
+    @property
     def frequency_scale(self) -> Float[Array, ""]:
         """D/(m L⁴): a scale of ω² below the bending frequencies of a shell of that size, without curvature."""
+        if not self.elements.area.size:
+            return jnp.ones(())
         return self.bending_scale / (jnp.mean(self.elements.mass_per_area) * self.size**4)
 
     @property
     def bending_scale(self) -> Float[Array, ""]:
-        """The shell's plate rigidity D, about: the bending stiffness of an element with like sides [force·length]."""
+        """The shell's plate rigidity D, about: the bending stiffness of an element with like sides [force·length].
+
+        Without a shell a number of the masses' size.
+        """
+        if not self.elements.area.size:
+            return self.size**2 * (jnp.ones(()) if self.lumps is None else jnp.sum(self.lumps.mass))
         return jnp.mean(jnp.trace(self.elements.K_bending, axis1=1, axis2=2)) / 6.0
 
     def gather(self, nodal):
@@ -207,6 +273,10 @@ class Model(eqx.Module):
     def expand(self, free: Float[Array, " nf"], held: Float[Array, " nh"]) -> Float[Array, "n 6"]:
         """The nodal vector with the given entries at free and held degrees of freedom."""
         return jnp.concatenate([free, held])[self.tables.place].reshape(-1, 6)
+
+    def without_multipliers(self, nodal: Float[Array, "n 6"]) -> Float[Array, "n 6"]:
+        """Increments with zeros in place of the multipliers', which are no motions."""
+        return nodal.at[self.tables.nodes :].set(0.0) if self.tables.multipliers else nodal
 
     def unknowns(self, nodal: Float[Array, "n 6"]) -> Float[Array, " nf"]:
         """The free unknowns of nodal increments: along the nodes' own axes where they have some."""
@@ -279,6 +349,11 @@ class Model(eqx.Module):
         return tuple(acting for acting in self.contributions if acting.resists)
 
     @property
+    def constraints(self) -> tuple[Acting, ...]:
+        """The contributions that are conditions with multipliers."""
+        return tuple(acting for acting in self.contributions if acting.constrains)
+
+    @property
     def dissipates(self) -> bool:
         """Static: whether the scene has damping, or contributions that take energy."""
         return self.damping is not None or bool(self.resisting)
@@ -292,18 +367,18 @@ class Model(eqx.Module):
 
     def following_load(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, "n 6"]:
         """Nodal forces and moments of all contributions at positions x and rotations R."""
-        return self.sum_of(tuple(a for a in self.contributions if not a.resists), x, R, time)
+        return self.sum_of(tuple(a for a in self.contributions if a.is_plain or a.is_elastic), x, R, time)
 
     def external_load(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, "n 6"]:
         """All loads at `time`."""
         load = self.dead_load(time)
-        following = tuple(a for a in self.contributions if not a.is_elastic and not a.resists)
+        following = tuple(a for a in self.contributions if a.is_plain)
         return load + self.sum_of(following, x, R, time) if following else load
 
     def following_stiffness(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time):
         """Derivative of `following_load` by displacements and spins, for `assemble_matrix`, and negative, as it stands
         in the stiffness."""
-        return self.stiffness_of(tuple(a for a in self.contributions if not a.resists), x, R, time)
+        return self.stiffness_of(tuple(a for a in self.contributions if a.is_plain or a.is_elastic), x, R, time)
 
     def stiffness_of(self, actings: tuple[Acting, ...], x, R, time) -> list[tuple[Acting, Float[Array, "k d d"]]]:
         """The same of some contributions."""
@@ -376,7 +451,44 @@ def structure_of(scene: Scene) -> Structure:
     groups = tuple(nodes for nodes in _groups(scene) if nodes != scene.mesh.connectivity)
     if (lumped := lumped_nodes(scene)).size:
         groups = (*groups, Frozen(lumped[:, None]))
-    return Structure(scene.mesh.connectivity, scene.mesh.n_nodes, scene.held, groups, scene.masters, scene.turned)
+    held, unused, mesh = scene.held, _unused(scene), scene.mesh
+    return Structure(
+        mesh.connectivity,
+        mesh.n_nodes + _multipliers(scene),
+        Frozen(np.concatenate([held.array, unused])) if unused.size else held,
+        groups,
+        _extended(scene.masters, scene),
+        scene.turned,
+        _multipliers(scene),
+        len(held.array),
+    )
+
+
+def _multipliers(scene: Scene) -> int:
+    """How many nodes hold the multipliers of a scene's constraints."""
+    own = scene.mesh.triangles
+    return sum(c.multipliers * len(c.groups(own).array) for c in scene.contributions if isinstance(c, Constraint))
+
+
+def _unused(scene: Scene) -> np.ndarray:
+    """Degrees of freedom of the multipliers' nodes that hold none."""
+    found, node = [np.zeros(0, int)], scene.mesh.n_nodes
+    for contribution in scene.contributions:
+        if isinstance(contribution, Constraint):
+            k, m = len(contribution.groups(scene.mesh.triangles).array), contribution.multipliers
+            slots = 6 * (node + np.arange(k * m).reshape(k, m))[:, :, None] + np.arange(6)
+            is_used = np.zeros((m, 6), bool)
+            is_used[:, :3].flat[: contribution.count] = True
+            found.append(slots[:, ~is_used].ravel())
+            node += k * m
+    return np.sort(np.concatenate(found))
+
+
+def _extended(masters: Frozen | None, scene: Scene) -> Frozen | None:
+    """With the multipliers' nodes, which follow none."""
+    if masters is None or not _multipliers(scene):
+        return masters
+    return Frozen(np.concatenate([masters.array, scene.mesh.n_nodes + np.arange(_multipliers(scene))]))
 
 
 def elimination_of(scene: Scene, tables: Tables) -> Elimination | None:
@@ -388,7 +500,33 @@ def elimination_of(scene: Scene, tables: Tables) -> Elimination | None:
 
 
 def _groups(scene: Scene) -> list[Frozen]:
-    return [contribution.groups(scene.mesh.triangles) for contribution in scene.contributions]
+    """Of the contributions, with the nodes of multipliers behind those of the mesh."""
+    found, node = [], scene.mesh.n_nodes
+    for contribution in scene.contributions:
+        nodes = contribution.groups(scene.mesh.triangles)
+        if isinstance(contribution, Constraint):
+            k, m = len(nodes.array), contribution.multipliers
+            nodes = Frozen(np.concatenate([nodes.array, node + np.arange(k * m).reshape(k, m)], axis=1))
+            node += k * m
+        found.append(nodes)
+    return found
+
+
+def _size(scene: Scene) -> Float[Array, ""]:
+    """The diagonal of the shell's bounding box, of the points' where there is no shell; 1 for a single one."""
+    mesh = scene.mesh
+    nodes = mesh.nodes[: mesh.n_nodes - mesh.points] if mesh.n_elements else mesh.nodes
+    size = jnp.linalg.norm(jnp.max(nodes, axis=0) - jnp.min(nodes, axis=0))
+    return size if mesh.n_elements else jnp.where(size > 0, size, 1.0)
+
+
+def _membrane_scale(elements: Element, lumps: Lumps | None) -> Float[Array, ""]:
+    """The unit of multipliers [force/length]: about the membrane stiffness of an element; constant for derivatives."""
+    if elements.area.size:
+        found = jnp.mean(jnp.trace(elements.K_membrane[:, :3, :3], axis1=1, axis2=2)) / 3.0
+    else:
+        found = jnp.ones(()) if lumps is None else jnp.sum(lumps.mass)
+    return jax.lax.stop_gradient(found)
 
 
 def _nodal(load: DeadLoad, x0, tables: Tables, elements: Element, lumps: Lumps | None) -> Float[Array, "n 6"]:
@@ -408,11 +546,14 @@ def _lumps(scene: Scene, tables: Tables) -> Lumps | None:
     return None if scene.point_masses is None else lumps_of(scene, *_placed(tables)[-1])
 
 
-def _acting(scene: Scene, tables: Tables, surface: Surface) -> tuple[Acting, ...]:
+def _acting(scene: Scene, tables: Tables, surface: Surface, unit) -> tuple[Acting, ...]:
     """The scene's contributions; groups that are not the elements' own follow each other in the tables."""
     found, others = [], iter(_placed(tables))
     for contribution, nodes in zip(scene.contributions, _groups(scene), strict=True):
         own = nodes == scene.mesh.connectivity
         indices, entries = (tables.triangles, None) if own else next(others)
-        found.append(Acting(contribution, contribution.data(surface), indices, entries, own))
+        data = contribution.data(surface)
+        if isinstance(contribution, Constraint):
+            data = data, jnp.broadcast_to(unit, indices.shape[:1])
+        found.append(Acting(contribution, data, indices, entries, own))
     return tuple(found)

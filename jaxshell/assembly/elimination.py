@@ -123,6 +123,12 @@ class Elimination(eqx.Module):
         v = v.at[self.followers].set(v[self.masters] + jnp.cross(omega[self.masters], arms))
         return x, R, v, omega
 
+    def centripetal(self, R: Float[Array, "n 3 3"], omega: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """ω × (ω × r) of the followers, zero elsewhere."""
+        arms = jnp.einsum("kij,kj->ki", R[self.masters], self.arms)
+        spin = omega[self.masters]
+        return jnp.zeros_like(omega).at[self.followers].set(jnp.cross(spin, jnp.cross(spin, arms)))
+
     def _rotated(self, nodal, axes):
         if not self.turned.size:
             return nodal

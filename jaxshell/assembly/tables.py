@@ -105,6 +105,16 @@ class Tables(eqx.Module):
     where `matrix` is the sparse matrix."""
     dependent: Dependent | None = None
     """None where every node's own degrees of freedom are unknown or held."""
+    nodes: int = eqx.field(static=True, default=0)
+    """How many the mesh has; the rest hold multipliers."""
+    supported: int = eqx.field(static=True, default=0)
+    """How many of the held degrees of freedom, the first, are the supports'."""
+    multipliers: int = eqx.field(static=True, default=0)
+    """How many nodes, the last, are not the mesh's."""
+    zeros: Int[Array, " q"] | None = None
+    """Places of the diagonal entries of the multipliers in the sparse matrix; None where there are none."""
+    constrained: Int[Array, " q"] | None = None
+    """Those unknowns that are multipliers."""
 
 
 class Structure(NamedTuple):
@@ -119,6 +129,10 @@ class Structure(NamedTuple):
     """(n,) the node whose degrees of freedom move a node: itself, or the reference of its rigid body."""
     turned: Frozen | None = None
     """Nodes with axes of their own, and the followers of such."""
+    multipliers: int = 0
+    """How many of the nodes, the last, are not the mesh's and hold multipliers."""
+    supported: int = 0
+    """How many of the held degrees of freedom, the first, are the supports'."""
 
     @property
     def followers(self) -> np.ndarray:
@@ -164,7 +178,14 @@ def analyse(structure: Structure) -> tuple[Tables, SparsityPattern]:
     if tables.dependent is not None and structure.followers.size:
         *places, own_block = places
         tables = eqx.tree_at(lambda t: t.dependent.entries, tables, own_block)
-    return dataclasses.replace(tables, matrix=matrix, entries=tuple(places), own=spread), pattern
+    zeros = constrained = None
+    if structure.multipliers:
+        numbers = np.flatnonzero(free // 6 >= structure.n_nodes - structure.multipliers)
+        with jax.ensure_compile_time_eval():
+            constrained = index_array(numbers)
+            zeros = index_array(np.searchsorted(entries, numbers * (free.size + 1)))
+    changed = {"matrix": matrix, "entries": tuple(places), "own": spread, "zeros": zeros, "constrained": constrained}
+    return dataclasses.replace(tables, **changed), pattern
 
 
 def _keys(nodes: np.ndarray, number: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -198,6 +219,9 @@ def nodal_tables(structure: Structure) -> Tables:
             index_array(place),
             tuple(index_array(group.array) for group in structure.groups),
             dependent=_dependent(structure),
+            nodes=structure.n_nodes - structure.multipliers,
+            supported=structure.supported,
+            multipliers=structure.multipliers,
         )
 
 

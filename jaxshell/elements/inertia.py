@@ -9,10 +9,12 @@ iterates; with equal nodal θ_a this is the paper's update of the spins.
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxshell.elements.corotational import Element
 from jaxshell.numerics import rotations
 from jaxshell.numerics.checks import Real
 from jaxshell.numerics.products import cross, dot, product
@@ -183,3 +185,20 @@ def point_tangent(
         material = material + (1.0 - alpha_f) * gamma / (beta * dt) * gyroscopic
     turning = product(rotations.skew(product(end, a)), rotations.H_inverse(theta))
     return product(averaged, material) - (1.0 - alpha_f) * turning
+
+
+def mass_matrix(R: Float[Array, "3 3 3"], element: Element) -> Float[Array, "18 18"]:
+    """Consistent mass of one element turned by the nodal rotations R: eq. (34) with ṫ_a = -~t_a ω_a.
+
+    A section's first moment ∫ρz dz couples velocities and spins.
+    """
+    mass = element.area * jnp.asarray(LINEAR_MASS)
+    turn = -jax.vmap(rotations.skew)(R @ element.frame[2])
+    translational = element.mass_per_area * mass[:, None, :, None] * jnp.eye(3)[None, :, None, :]
+    rotational = element.rotary_inertia * jnp.einsum("ab,aki,bkj->aibj", mass, turn, turn)
+    coupled = lever = jnp.zeros_like(rotational)
+    if element.first_moment is not None:  # v·ṫ of ∫ρz dz
+        coupled = element.first_moment * jnp.einsum("ab,bij->aibj", mass, turn)
+        lever = jnp.transpose(coupled, (2, 3, 0, 1))
+    rows = [jnp.stack([translational, coupled], axis=3), jnp.stack([lever, rotational], axis=3)]
+    return jnp.stack(rows, axis=1).reshape(18, 18)

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from jaxshell.assembly.discretised import Acting, Model
 from jaxshell.gradients import keep
 from jaxshell.methods.predictor import extrapolate
-from jaxshell.model.contribution import Contribution, Place, Resisting, between
+from jaxshell.model.contribution import Constraint, Contribution, Place, Resisting, between
 from jaxshell.numerics.batching import one_by_one
 from jaxshell.numerics.checks import is_concrete
 from jaxshell.numerics.rotations import H_inverse, exp
@@ -115,8 +115,8 @@ class Method(eqx.Module):
         """Raise ValueError where the method cannot run `scene` with these step sizes; before compilation."""
 
     @abc.abstractmethod
-    def start(self, model: Model, scene, time) -> Any:
-        """The state at the start."""
+    def start(self, model: Model, scene, time, solvers: Solvers | None = None) -> Any:
+        """The state at the start; `solvers` are needed where joints or rigid bodies bind accelerations."""
 
     @abc.abstractmethod
     def observe(self, model: Model, state) -> Observation:
@@ -295,6 +295,8 @@ class ImplicitMethod(Method):
         """The same on one group (c, 6); `rates` are of its nodes, None but for what resists."""
         if isinstance(contribution, Resisting):
             return contribution.resistance(data, start, end, between(start, end, self.weight_at_end(step)), rates)
+        if isinstance(contribution, Constraint):
+            return contribution.balanced(data, start, end, self.weight_at_end(step))
         if self.balances_means:
             return contribution.mean_force(data, start, end)
         return self.weight_at_end(step) * contribution.force(data, end)
@@ -307,7 +309,7 @@ class ImplicitMethod(Method):
             done = jnp.sum(force * u[acting.nodes])
             if acting.is_elastic:
                 work = work + self._work_of_drive(model, acting, state, begun, motion, u, done)
-            elif not acting.resists:
+            elif acting.is_plain:
                 work = work + done
         if model.moving:
             # Supports that move work with the reaction, the residual at the held degrees of freedom.
@@ -344,7 +346,7 @@ class ImplicitMethod(Method):
         motion, found = self.motion(state, u), []
         for acting in self.acting(model):
             start, end = self._places(model, acting, state, begun, motion)
-            if tangent == "autodiff" or acting.resists:
+            if tangent == "autodiff" or acting.resists or acting.constrains:
                 K = self._differentiated(model, acting, state, begun, u)
             elif self.balances_means:
                 K = by_increments(acting.mean_stiffness(start, end), motion.spin[acting.nodes])
@@ -406,7 +408,7 @@ class ImplicitMethod(Method):
 
     def step(self, model, state, dt, solvers, memory):
         # The iteration is outside differentiation; its result then gets the derivative of the equations solved.
-        solvers = solvers._replace(linear=solvers.linear._replace(units=model.units))
+        solvers = solvers._replace(linear=solvers.linear.posed(model))
         fixed = jax.lax.stop_gradient((self, model, state, dt))
         solved, memory = one_by_one(_converge, memory, *fixed, solvers)
         solved = keep(solved)

@@ -48,8 +48,8 @@ class ThreePointBackward(ForceLevelMethod):
 class Bathe(Method):
     """Bathe's two-step composite method. Iterations and factorizations count both halves."""
 
-    def start(self, model: Model, scene, time) -> NewmarkState:
-        return Newmark().start(model, scene, time)
+    def start(self, model: Model, scene, time, solvers=None) -> NewmarkState:
+        return Newmark().start(model, scene, time, solvers)
 
     def observe(self, model: Model, state: NewmarkState):
         return Newmark().observe(model, state)

@@ -125,7 +125,7 @@ class CentralDifference(Method):
                 " implicit method."
             )
 
-    def start(self, model: Model, scene: Scene, time) -> ExplicitState:
+    def start(self, model: Model, scene: Scene, time, solvers=None) -> ExplicitState:
         x, R, v, omega = initial_motion(model, scene)
         time, zero = jnp.asarray(time, float), jnp.zeros(())
         mass, rates = lumped_mass(model), jnp.concatenate([v, omega], axis=1)

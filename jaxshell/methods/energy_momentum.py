@@ -175,7 +175,7 @@ class EnergyMomentum(ImplicitMethod):
         data = begun.data._replace(excess=jax.vmap(excess)(u_corners, last, x, R, begun.data.element))
         return self.matrices(model, state, begun._replace(data=data), u, tangent)
 
-    def start(self, model: Model, scene, time) -> EnergyMomentumState:
+    def start(self, model: Model, scene, time, solvers=None) -> EnergyMomentumState:
         x, R, v, omega = initial_motion(model, scene)
         W = jax.vmap(skew)(omega) @ R
         zero, rates = jnp.zeros(()), predictor.initial_rates(v, omega)
@@ -228,7 +228,7 @@ class EnergyMomentum(ImplicitMethod):
             W=turned / dt - state.W,
             external_work=state.external_work + work,
             dissipated=dissipated,
-            rates=predictor.remember(state.rates, u, dt),
+            rates=predictor.remember(state.rates, model.without_multipliers(u), dt),
         )
 
     def _removed(self, model: Model, data: ElementData, step: Shared, u, motion) -> Float[Array, ""]:

@@ -19,7 +19,7 @@ from jaxshell.elements.corotational import Element, Kinematics
 from jaxshell.elements.inertia import Spins, StepFactors
 from jaxshell.methods import damping, masses, predictor, seven_point, traditional
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation, may_have_first_moment
-from jaxshell.methods.start import initial_motion, initial_translational_acceleration
+from jaxshell.methods.start import initial_accelerations, initial_motion, linear_of
 from jaxshell.methods.state import PredictedState
 from jaxshell.numerics.checks import Real, check_choice, check_within
 
@@ -152,12 +152,12 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
     def weight_at_end(self, step: Shared):
         return 1.0 - step.factors.alpha_f
 
-    def start(self, model: Model, scene, time) -> GEMState:
+    def start(self, model: Model, scene, time, solvers=None) -> GEMState:
         x, R, v, omega = initial_motion(model, scene)
         if self.initial_acceleration == "consistent":
-            a = initial_translational_acceleration(model, x, R, time, v, omega)
+            a, alpha = initial_accelerations(model, linear_of(solvers), x, R, time, v, omega)
         else:
-            a = jnp.zeros_like(v)
+            a = alpha = jnp.zeros_like(v)
         spins = self._initial_spins(model, R, omega)
         rates = predictor.initial_rates(v, omega)
         return GEMState(
@@ -170,7 +170,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             external_work=jnp.zeros(()),
             rates=rates,
             damped=damping.initial_state(model, x, R, v, omega, a),
-            lumps=masses.initial_spins(model.lumps, R, omega, jnp.zeros_like(omega)),
+            lumps=masses.initial_spins(model.lumps, R, omega, alpha),
         )
 
     def _initial_spins(self, model: Model, R, omega) -> Spins | None:
@@ -220,7 +220,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             a=factors.second(u[:, :3], state.v, state.a),
             spins=spins,
             external_work=state.external_work + work,
-            rates=predictor.remember(state.rates, u, dt),
+            rates=predictor.remember(state.rates, model.without_multipliers(u), dt),
             damped=damping.finish(state.damped, model, begun.data.damped, motion, u, turning, factors, taken),
             lumps=masses.turned(model.lumps, u, state.lumps, factors),
         )

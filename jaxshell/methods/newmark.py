@@ -28,7 +28,7 @@ from jaxshell.elements.corotational import Element
 from jaxshell.elements.inertia import PointStart, Spins, StepFactors
 from jaxshell.methods import damping, masses, predictor, seven_point
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
-from jaxshell.methods.start import initial_motion, initial_translational_acceleration
+from jaxshell.methods.start import initial_accelerations, initial_motion, linear_of
 from jaxshell.methods.state import PredictedState
 from jaxshell.numerics.checks import Real, check_number, check_within, is_concrete
 
@@ -104,7 +104,7 @@ class ForceLevelMethod(ImplicitMethod):
     def weight_at_end(self, step: StepFactors):
         return 1.0 - step.alpha_f
 
-    def start(self, model: Model, scene, time) -> NewmarkState:
+    def start(self, model: Model, scene, time, solvers=None) -> NewmarkState:
         x, R, v, omega = initial_motion(model, scene)
         reaction = jnp.zeros(0)
         if model.moving:
@@ -115,7 +115,7 @@ class ForceLevelMethod(ImplicitMethod):
                 here = x, R, jnp.asarray(time)
                 force = force - model.resistance(here, here, jnp.concatenate([v, omega], axis=1))
             reaction = model.collected(force, R).reshape(-1)[model.tables.held]
-        a = initial_translational_acceleration(model, x, R, time, v, omega)
+        a, alpha = initial_accelerations(model, linear_of(solvers), x, R, time, v, omega)
         return NewmarkState(
             time=jnp.asarray(time, float),
             x=x,
@@ -127,7 +127,7 @@ class ForceLevelMethod(ImplicitMethod):
             reaction=reaction,
             rates=predictor.initial_rates(v, omega),
             damped=damping.initial_state(model, x, R, v, omega, a),
-            lumps=masses.initial_spins(model.lumps, R, omega, jnp.zeros_like(omega)),
+            lumps=masses.initial_spins(model.lumps, R, omega, alpha),
         )
 
     def begin(self, model: Model, state: NewmarkState, dt):
@@ -170,7 +170,7 @@ class ForceLevelMethod(ImplicitMethod):
             spins=seven_point.turned_spins(model, motion.theta, state.spins, factors),
             external_work=state.external_work + work,
             reaction=reaction,
-            rates=predictor.remember(state.rates, u, dt),
+            rates=predictor.remember(state.rates, model.without_multipliers(u), dt),
             damped=damping.finish(state.damped, model, begun.data.damped, motion, u, turning, factors, taken),
             lumps=masses.turned(model.lumps, u, state.lumps, factors),
         )

@@ -34,7 +34,7 @@ class SettlingState(StaticState):
 class Settling(Static):
     """Backward Euler with the static balance at the end of the step; `settle` runs it."""
 
-    def start(self, model: Model, scene, time) -> SettlingState:
+    def start(self, model: Model, scene, time, solvers=None) -> SettlingState:
         _, _, v, omega = initial_motion(model, scene)
         return _moving(super().start(model, scene, time), v, omega)
 

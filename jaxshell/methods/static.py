@@ -95,7 +95,7 @@ class Static(ImplicitMethod):
         data = data._replace(excess=jax.vmap(excess)(u_e, last_e, d, R, data))
         return self.matrices(model, state, begun._replace(data=data), u, tangent)
 
-    def start(self, model: Model, scene, time) -> StaticState:
+    def start(self, model: Model, scene, time, solvers=None) -> StaticState:
         x, R, v, _ = initial_motion(model, scene)
         return StaticState(
             time=jnp.asarray(time, float),

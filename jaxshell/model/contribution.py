@@ -10,7 +10,8 @@ step's increments is what the energy balance holds: the energy of the shell chan
 contribution is; a `mean_force` that is also the mean in time of the force makes it second order.
 
 What a contribution does to the energy is its class: the work of a plain `Contribution` is external work; `Elastic` has
-an energy of its own, which counts with the strain energy; `Resisting` takes energy, which counts as dissipated.
+an energy of its own, which counts with the strain energy; `Resisting` takes energy, which counts as dissipated; a
+`Constraint` does no work.
 
 Exact energy comes from one fact. For a function g that is at most quadratic in positions and rotation matrices, its
 derivative at their means over the step, with δR = ~δω R̄, times the step's increments (Δx, Cayley vectors θ) is Δg.
@@ -39,6 +40,8 @@ class Surface(NamedTuple):
     mass_per_area: Float[Array, " m"]
     area: Float[Array, " m"]
     normals: Float[Array, "m 3"]
+    size: Float[Array, ""]
+    """Of the shell [length], constant for derivatives."""
 
 
 class Place(NamedTuple):
@@ -123,6 +126,48 @@ class Resisting(Contribution):
     def force(self, data, place: Place) -> Float[Array, "c 6"]:
         """None at rest."""
         return jnp.zeros((place.x.shape[0], 6))
+
+
+class Constraint(Contribution):
+    """Conditions g(x, R) = 0, at most quadratic, which multipliers λ enforce by the forces -λ ∂g: a joint.
+
+    ∂g is that at the mean of the ends of the step, weighted as the balance is: in `EnergyMomentum` λ ∂g does the work
+    λ Δg = 0, and what g sees of relative places and rotations alone keeps the momenta. Conditions hold at the ends of
+    steps.
+    """
+
+    @property
+    @abc.abstractmethod
+    def count(self) -> int:
+        """Static: the number of conditions."""
+
+    @abc.abstractmethod
+    def conditions(self, data, place: Place) -> Float[Array, " p"]:
+        """What vanishes [length], of one group; those of rotations times a length of the shell's size."""
+
+    def force(self, data, place: Place) -> Float[Array, "c 6"]:
+        """None without a multiplier."""
+        return jnp.zeros((place.x.shape[0], 6))
+
+    @property
+    def multipliers(self) -> int:
+        """How many nodes that no mesh has hold the multipliers of a group, three each as displacements."""
+        return -(-self.count // 3)
+
+    def balanced(self, data, start: Place, end: Place, weight) -> Float[Array, "c 6"]:
+        """What stands in the balance of a step on the nodes of one group, those of the multipliers being the last.
+
+        `data` holds its own and the unit of the multipliers [force/length], `weight` where between the ends of the step
+        the balance stands. At the multipliers' nodes stand the conditions at the end, times that unit.
+        """
+        (own, unit), real = data, end.x.shape[0] - self.multipliers
+        values = end.x[real:].reshape(-1)[: self.count]
+        start, end = (Place(place.x[:real], place.R[:real], place.time) for place in (start, end))
+        slopes = gradient_between(lambda place: self.conditions(own, place), between(start, end, weight))
+        forces = -unit * jnp.tensordot(values, slopes, 1)
+        open_by = jnp.zeros(3 * self.multipliers).at[: self.count].set(-unit * self.conditions(own, end))
+        rows = jnp.concatenate([open_by.reshape(-1, 3), jnp.zeros((self.multipliers, 3))], axis=1)
+        return jnp.concatenate([forces, rows])
 
 
 def displaced(place: Place, change: Float[Array, " d"]) -> Place:

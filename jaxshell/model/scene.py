@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxshell.model.connectors import Connector, RigidBody
+from jaxshell.model.connectors.rigid_body import check_bodies
 from jaxshell.model.contribution import Contribution
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.gauge import check_gauge, gauge_of
@@ -201,8 +202,8 @@ class Scene(eqx.Module):
         check_kind("mesh", mesh, Mesh, "a jaxshell.Mesh")
         if isinstance(section, Mapping | list | tuple):
             section = Regions.of(mesh, section)
-        mesh, connectors = _with_references(mesh, connectors)
         check_kind("section", section, AnySection, "a section such as jaxshell.Section")
+        mesh, connectors = _with_references(mesh, connectors)
         self.mesh = mesh
         self.section = cast(AnySection, section)
         self.supports = _placed("support", _objects("supports", supports, Support, "jaxshell.Support"), mesh)
@@ -214,7 +215,7 @@ class Scene(eqx.Module):
         self.defaults = defaults
         self.damping = damping
         self.masses = _placed("mass", _objects("masses", masses, PointMass, "jaxshell.PointMass"), mesh)
-        self.connectors = _placed("connector", connectors, mesh)
+        self.connectors = connectors
         self.obstacles = _placed("obstacle", _objects("obstacles", obstacles, Obstacle, "jaxshell.Plane"), mesh)
 
     def __check_init__(self):
@@ -237,6 +238,7 @@ class Scene(eqx.Module):
         if self.initial is not None:
             self.initial.check(n)
         self._check_prescribed_once()
+        check_bodies(self.bodies, self.supports)
 
     def _check_items(self):
         kinds = {"load": self.loads, "mass": self.masses}
@@ -332,7 +334,18 @@ class Scene(eqx.Module):
     def held_dofs(self) -> np.ndarray:
         """Sorted numbers 6·node + dof of all degrees of freedom that supports hold or move."""
         numbers = [support.dof_numbers.ravel() for support in self.supports]
+        if self.mesh.points:
+            numbers.append(self._rotations_of_points)
         return np.unique(np.concatenate(numbers)) if numbers else np.zeros(0, np.int64)
+
+    @property
+    def _rotations_of_points(self) -> np.ndarray:
+        """Rotations of points at which nothing looks: they have no stiffness and no inertia, and are held."""
+        turning = [item.turning for item in self.connectors]
+        turning += [item.nodes.array for item in self.masses if item.inertia is not None]
+        points = np.arange(self.mesh.n_nodes - self.mesh.points, self.mesh.n_nodes)
+        points = np.setdiff1d(points, np.concatenate([*turning, np.zeros(0, int)]))
+        return (6 * points[:, None] + np.arange(3, 6)).ravel()
 
     @property
     def held(self) -> Frozen:
@@ -361,11 +374,10 @@ def _with_references(mesh: Mesh, connectors) -> tuple[Mesh, tuple[Connector, ...
     """The mesh with the references of rigid bodies as points, and the connectors with their numbers."""
     found = []
     for item in _objects("connectors", connectors, Connector, "connectors such as jaxshell.Spring"):
-        if isinstance(item, RigidBody):
-            try:
-                item, mesh = item.placed(mesh, len(found))
-            except ValueError as error:
-                raise ValueError(f"connector {len(found)}: {error}") from error
+        try:
+            item, mesh = item.placed(mesh, len(found))
+        except ValueError as error:
+            raise ValueError(f"connector {len(found)}: {error}") from error
         found.append(item)
     return mesh, tuple(found)
 

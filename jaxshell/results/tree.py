@@ -115,7 +115,7 @@ def _write_field(group, name: str, value) -> None:
         write_attribute(inner, "kind", _LIST)
         for position, item in enumerate(value):
             _write_field(inner, str(position), item)
-    elif isinstance(value, str | tuple | bool):
+    elif isinstance(value, str | tuple | bool | int):
         write_text(group, _TEXT + name, to_json(value))
     else:
         write_array(group, name, value)

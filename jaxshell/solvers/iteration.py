@@ -8,12 +8,13 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxshell.numerics.checks import Real
-from jaxshell.solvers.linear_solver import Handle, LinearSolver, linear_solve, scaled
+from jaxshell.solvers.linear_solver import Handle, LinearSolver, linear_solve, multiply, scaled
 
 SUCCESSFUL, DIVERGED, STAGNATED, SINGULAR, STEP_TOO_SMALL, UNSTABLE = (np.int32(k) for k in range(6))
 """Result codes inside compiled programs, in the order of `jaxshell.RESULTS`."""
@@ -26,6 +27,9 @@ _SMALLEST = 1e-12
 """Corrections below this are not asked for the sake of energy: near it positions have no more digits."""
 _CURVED = 1e4
 """What a full correction leaves is about so many times its square, of thin shells, before another one tells."""
+_SOFT, _REFINEMENTS = 1e-8, 3
+"""What stands in place of zeros on the diagonal, as a part of what they become; and how often a solution that is
+differentiated is refined with the matrix itself."""
 _FIRST_GUESS = 0.1
 """Contraction of a factorization that has not been used yet."""
 
@@ -52,6 +56,17 @@ class Linear(NamedTuple):
     handle: Handle
     units: Float[Array, " nf"] | None = None
     """The diagonal of S, `Model.units`; None where matrices are to be taken as they are."""
+    soft: tuple[Int[Array, " q"], Float[Array, " q"]] | None = None
+    """Places of the zeros on the diagonal that multipliers have, and the squares of the entries of their rows, as the
+    solver gets them. None where there is none.
+
+    A factorization without pivoting would divide by the zeros. In their place it has -s²ε/K, K the largest entry: what
+    remains after elimination of the others is s²/K or more, so corrections err by ε.
+    """
+
+    def posed(self, model) -> "Linear":
+        """For the matrices of a `Model`: in its units, and with the zeros of its multipliers."""
+        return self._replace(units=model.units, soft=model.soft)
 
     def factor_and_solve(self, values, rhs):
         """(K⁻¹ rhs, factorization, the matrix that was factored: `values` in these units)."""
@@ -65,11 +80,21 @@ class Linear(NamedTuple):
 
     def solve_once(self, values, rhs) -> Float[Array, " nf"]:
         """K⁻¹ rhs, differentiable to every order; see `linear_solve`."""
-        x = linear_solve(self.solver, self.handle, self._scaled(values), self._times_units(rhs))
+        matrix, rhs = self._scaled(values), self._times_units(rhs)
+        x = linear_solve(self.solver, self.handle, matrix, rhs)
+        if self.soft is not None:
+            exact = self._replace(soft=None)._scaled(values)
+            for _ in range(_REFINEMENTS):
+                x = x + linear_solve(self.solver, self.handle, matrix, rhs - multiply(self.handle, exact, x))
         return self._times_units(x)
 
     def _scaled(self, values):
-        return values if self.units is None else scaled(values, self.handle.rows, self.handle.indices, self.units)
+        if self.units is not None:
+            values = scaled(values, self.handle.rows, self.handle.indices, self.units)
+        if self.soft is None:
+            return values
+        places, squares = self.soft
+        return values.at[places].add(-_SOFT * squares / jax.lax.stop_gradient(jnp.max(jnp.abs(values))))
 
     def _times_units(self, vector):
         return vector if self.units is None else self.units * vector

@@ -1,9 +1,13 @@
 """What joins nodes with each other or with points of space; one file each."""
 
 from jaxshell.model.connectors.base import Connector
+from jaxshell.model.connectors.hinge import Hinge
+from jaxshell.model.connectors.rigid_bar import RigidBar
 from jaxshell.model.connectors.rigid_body import RigidBody
+from jaxshell.model.connectors.slider import Slider
+from jaxshell.model.connectors.spherical import Spherical
 
-CONNECTORS: tuple[type[Connector], ...] = (RigidBody,)
+CONNECTORS: tuple[type[Connector], ...] = (RigidBody, Spherical, Hinge, Slider, RigidBar)
 """All of them, in the order of the manual."""
 
-__all__ = ["CONNECTORS", "Connector", "RigidBody"]
+__all__ = ["CONNECTORS", "Connector", "Hinge", "RigidBar", "RigidBody", "Slider", "Spherical"]

@@ -1,7 +1,9 @@
 """What every connector offers: its parts, its checks, and how scene files write it."""
 
 import abc
-from typing import ClassVar
+from typing import ClassVar, cast
+
+import numpy as np
 
 from jaxshell.model.contribution import Contribution
 from jaxshell.model.mesh import Mesh
@@ -13,6 +15,18 @@ class Connector(OfSets):
 
     kind: ClassVar[str]
     """Its name in scene files."""
+
+    def placed(self, mesh: Mesh, number: int) -> tuple["Connector", Mesh]:
+        """The connector with numbers in place of names, and the mesh with what it needs besides; `number` is its own.
+
+        Called when the scene is made.
+        """
+        return cast(Connector, self.on(mesh)), mesh
+
+    @property
+    def turning(self) -> np.ndarray:
+        """The nodes whose rotations mean something to it: of other points they are held."""
+        return np.zeros(0, int)
 
     @abc.abstractmethod
     def parts(self) -> tuple[Contribution, ...]:

@@ -1,5 +1,6 @@
 """Rigid bodies: nodes that keep their places to each other, and the point that moves them."""
 
+from collections.abc import Sequence
 from typing import Any, ClassVar, cast
 
 import equinox as eqx
@@ -76,6 +77,10 @@ class RigidBody(Connector):
         return RigidBody(body.nodes, mesh.n_nodes - 1, self.mass, self.inertia, name), mesh
 
     @property
+    def turning(self) -> np.ndarray:
+        return np.array([self.master])
+
+    @property
     def master(self) -> int:
         """The node of the reference."""
         assert self.reference is not None
@@ -92,6 +97,29 @@ class RigidBody(Connector):
     def check(self, mesh: Mesh) -> None:
         for what, numbers in (("rigid body", self.nodes.array), ("reference", np.array([self.master]))):
             check_on_mesh(what, "node", numbers, mesh.n_nodes)
+
+
+def check_bodies(bodies: Sequence[RigidBody], supports) -> None:
+    """Raise ValueError for a node in two bodies, and for one that a support holds besides its body."""
+    owner: dict[int, int] = {}
+    for number, body in enumerate(bodies):
+        for node in body.followers.tolist():
+            if node in owner:
+                raise ValueError(f"Node {node} is in two rigid bodies, {owner[node]} and {number}: make them one.")
+            owner[node] = number
+    for number, body in enumerate(bodies):
+        if body.master in owner:
+            raise ValueError(
+                f"Node {body.master} is the reference of rigid body {number} and a node of body {owner[body.master]}: "
+                "make them one, or join them."
+            )
+    for position, support in enumerate(supports):
+        for node in support.nodes.array.tolist():
+            if node in owner:
+                raise ValueError(
+                    f"support {position} holds node {node} of rigid body {owner[node]}, which its reference moves: "
+                    f"support the reference, node {bodies[owner[node]].master}."
+                )
 
 
 def _is_empty(nodes) -> bool:

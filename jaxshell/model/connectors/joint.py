@@ -1,0 +1,116 @@
+"""What joints between pairs of nodes have in common."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxshell.model.connectors.base import Connector
+from jaxshell.model.contribution import Constraint, Place
+from jaxshell.model.mesh import Mesh
+from jaxshell.model.sets import SetName, check_on_mesh
+from jaxshell.numerics.checks import check_finite, check_shape, check_text, float_array, is_concrete
+from jaxshell.numerics.frozen import Frozen
+
+_TOGETHER = 1e-6
+"""Nodes no further apart than this part of the mesh's size are in one place."""
+
+
+class Joint(Connector):
+    """A joint between nodes `a` and `b`, one by one: indices, or names of sets."""
+
+    sets: ClassVar[dict[str, str]] = {"a": "node", "b": "node"}
+    joins_places: ClassVar[bool] = True
+    """Whether the nodes of a pair must be in one place."""
+
+    a: eqx.AbstractVar[Frozen | SetName]
+    b: eqx.AbstractVar[Frozen | SetName]
+    name: eqx.AbstractVar[str | None]
+
+    @property
+    def pairs(self) -> Frozen:
+        """(k, 2) nodes."""
+        return Frozen(np.stack([self.a.array, self.b.array], axis=1))
+
+    def check(self, mesh: Mesh) -> None:
+        if len(self.a.array) != len(self.b.array):
+            raise ValueError(
+                f"A {self.kind} joins nodes one by one, but a has {len(self.a.array)} and b {len(self.b.array)}."
+            )
+        check_on_mesh(self.kind, "node", self.pairs.array.ravel(), mesh.n_nodes)
+        same = self.a.array == self.b.array
+        if same.any():
+            raise ValueError(f"A {self.kind} joins node {self.a.array[same][0]} with itself.")
+        if is_concrete(mesh.nodes):
+            nodes = np.asarray(mesh.nodes)
+            apart = np.linalg.norm(nodes[self.a.array] - nodes[self.b.array], axis=1)
+            size = float(np.linalg.norm(np.ptp(nodes, axis=0)))
+            self.check_places(apart, _TOGETHER * size)
+
+    def check_places(self, apart: np.ndarray, near: float) -> None:
+        """Raise ValueError where the distances (k,) of the pairs do not fit; `near` counts as none."""
+        if self.joins_places and (apart > near).any():
+            k = int(np.argmax(apart))
+            raise ValueError(
+                f"A {self.kind} joins nodes in one place, but {self.a.array[k]} and {self.b.array[k]} are "
+                f"{apart[k]:.4g} apart: put a point there (Mesh.with_points) and let a RigidBody carry it."
+            )
+
+
+def named(kind: str, name: str | None) -> str | None:
+    """`name`, checked."""
+    if name is not None:
+        check_text(f"The name of a {kind}", name)
+    return name
+
+
+def unit_vector(value, what: str) -> Float[jax.Array, "3"]:
+    """A direction. Raises ValueError calling it `what` for a vector of no length."""
+    vector = float_array(value, what)
+    check_shape(what, vector, (3,))
+    check_finite(what, vector)
+    if is_concrete(vector) and not np.linalg.norm(np.asarray(vector)) > 0:
+        raise ValueError(f"{what} must have a length, but it is {np.asarray(vector).tolist()}.")
+    return vector
+
+
+def across(axis: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """The unit vector along an axis and two perpendicular ones, as rows."""
+    first = axis / jnp.linalg.norm(axis)
+    # The coordinate axis that is furthest from it, chosen without derivative.
+    other = jnp.eye(3)[jnp.argmin(jnp.abs(jax.lax.stop_gradient(first)))]
+    second = jnp.cross(first, other)
+    second = second / jnp.linalg.norm(second)
+    return jnp.stack([first, second, jnp.cross(first, second)])
+
+
+def twist(first: Float[Array, "3 3"], second: Float[Array, "3 3"]) -> Float[Array, "3"]:
+    """½ Σ (column i of one) × (column i of the other): sin φ n of the rotation from the first to the second."""
+    return 0.5 * jnp.sum(jnp.cross(first, second, axis=0), axis=1)
+
+
+class Conditions(Constraint):
+    """Conditions on pairs of nodes; a joint of each kind has its own."""
+
+    nodes: Frozen = eqx.field(static=True)
+    """(k, 2)."""
+
+    def groups(self, triangles: np.ndarray) -> Frozen:
+        return self.nodes
+
+
+class Together(Conditions):
+    """Two nodes in one place."""
+
+    @property
+    def count(self) -> int:
+        return 3
+
+    def data(self, surface) -> Float[Array, "k 0"]:
+        return jnp.zeros((len(self.nodes.array), 0))
+
+    def conditions(self, data, place: Place) -> Float[Array, "3"]:
+        return place.x[1] - place.x[0]
