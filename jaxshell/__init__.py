@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         GeneralizedEnergyMomentum,
         Newmark,
     )
-    from jaxshell.model.connectors import Hinge, RigidBar, RigidBody, Slider, Spherical
+    from jaxshell.model.connectors import Distributed, EdgeTie, Hinge, RigidBar, RigidBody, Slider, Spherical, Tie
     from jaxshell.model.damping import RayleighDamping
     from jaxshell.model.loads import (
         EdgeForce,
@@ -79,7 +79,9 @@ __all__ = [
     "Checkpointed",
     "Cylindrical",
     "Dense",
+    "Distributed",
     "EdgeForce",
+    "EdgeTie",
     "Energy",
     "EnergyMomentum",
     "GeneralSection",
@@ -124,6 +126,7 @@ __all__ = [
     "Support",
     "Sweep",
     "Thermal",
+    "Tie",
     "VTKHDFWriter",
     "clamped",
     "failure_index",
@@ -219,7 +222,7 @@ _HOMES = {
     "analyses.step_control": ["StepControl"],
     "analyses.sweep.run": ["sweep"],
     "model.masses": ["PointMass"],
-    "model.connectors": ["Hinge", "RigidBar", "RigidBody", "Slider", "Spherical"],
+    "model.connectors": ["Distributed", "EdgeTie", "Hinge", "RigidBar", "RigidBody", "Slider", "Spherical", "Tie"],
     "model.supports": ["Support", "clamped", "pinned", "symmetry"],
 }
 """The public names by their modules. A package's own name stands for the package."""

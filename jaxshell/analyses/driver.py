@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxshell.analyses import program
 from jaxshell.analyses.program import Carry, Frame, Plan, Record
+from jaxshell.assembly.conditions import check_conditions
 from jaxshell.assembly.discretised import structure_of
 from jaxshell.assembly.tables import Tables, analyse, nodal_tables
 from jaxshell.files.quoted import quote
@@ -86,6 +87,7 @@ def set_up(
     differentiated: bool = False,
 ) -> Setup:
     """Analyse the scene's structure, and wrap method and solvers for the compiled programs."""
+    check_conditions(scene)
     solver = default_solver() if linear_solver is None else linear_solver
     if method.uses_matrix:
         tables, pattern = analyse(structure_of(scene))

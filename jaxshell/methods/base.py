@@ -248,6 +248,7 @@ class ImplicitMethod(Method):
             force = jax.vmap(self.lump_force, in_axes=(0, 0, None))(u[model.lumps.at], begun.lumps, step)
             residual = residual.at[model.lumps.at].add(force)
             parts.append((force, u[model.lumps.at]))
+        parts = [part for part in parts if part[0].size]
         works = [jnp.sum(f.reshape(len(f), -1) * d.reshape(len(f), -1), axis=1) for f, d in parts]
         work = sum((jnp.sum(jnp.abs(w)) for w in works), jnp.zeros(()))
         halves = [f.reshape(-1, 2, 3) for f, _ in parts]

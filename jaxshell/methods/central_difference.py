@@ -33,6 +33,7 @@ from jaxshell.methods import damping
 from jaxshell.methods.base import Method, Observation, StepInfo, may_have_first_moment
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import MovingState
+from jaxshell.model.contribution import Constraint
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import check_number, is_concrete
 from jaxshell.numerics.compiled import compiled
@@ -248,6 +249,8 @@ def _lumped(model: Model, factors: Float[Array, " m"] | None) -> Float[Array, "n
 
 def _check_joined(scene: Scene) -> None:
     """Raise ValueError for what an explicit step cannot have."""
+    if any(isinstance(part, Constraint) for part in scene.contributions):
+        raise ValueError("CentralDifference solves no equations, which joints need: use an implicit method.")
     if scene.bodies:
         raise ValueError("CentralDifference has no rigid bodies, whose nodes' masses move as one: use another method.")
     masses = scene.point_masses

@@ -33,6 +33,8 @@ def check_connectivity(triangles: np.ndarray, n_nodes: int, points: int = 0) -> 
     check_indices(triangles, n_nodes, points)
     if (triangles >= n_nodes - points).any():
         raise ValueError(f"A triangle names node {triangles.max()}, which is one of the mesh's {points} points.")
+    if not len(triangles):
+        return
     ordered = np.sort(triangles, axis=1)
     twice = (ordered[:, 0] == ordered[:, 1]) | (ordered[:, 1] == ordered[:, 2])
     if twice.any():

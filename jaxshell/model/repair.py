@@ -22,7 +22,7 @@ def numbered_edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     """(3m,) the number of each undirected edge, (k,) how many triangles have it, (3m,) whether it runs upwards."""
     edges = edges_of(triangles).astype(np.int64)
     low, high = edges.min(axis=1), edges.max(axis=1)
-    _, number, count = np.unique(low * (edges.max() + 1) + high, return_inverse=True, return_counts=True)
+    _, number, count = np.unique(low * (edges.max(initial=0) + 1) + high, return_inverse=True, return_counts=True)
     return number.ravel(), count, edges[:, 0] < edges[:, 1]
 
 

@@ -18,7 +18,7 @@ from jaxshell.model.loads import InitialStrains, Load
 from jaxshell.model.masses import Masses, PointMass
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.obstacles import Obstacle
-from jaxshell.model.sections import AnySection, Regions
+from jaxshell.model.sections import AnySection, Regions, Section
 from jaxshell.model.sets import check_on_mesh
 from jaxshell.model.supports import DOFS, Support
 from jaxshell.numerics.checks import (
@@ -151,7 +151,8 @@ class Scene(eqx.Module):
 
     Arguments:
         mesh, section: the shell. The section is one for all of it, or {name of an element set: section}, or a list of
-            (elements, section) with numbers or names of sets: every element in one of them.
+            (elements, section) with numbers or names of sets: every element in one of them. None for a mesh of points
+            alone (`Mesh.of_points`).
         supports, loads: sequences, possibly empty. Names of sets become the numbers that the mesh has under them.
         initial: the state at the start; None is rest.
         name: for files and pictures.
@@ -187,7 +188,7 @@ class Scene(eqx.Module):
     def __init__(
         self,
         mesh: Mesh,
-        section: AnySection | Mapping[str, AnySection] | Sequence[tuple[Any, AnySection]],
+        section: AnySection | Mapping[str, AnySection] | Sequence[tuple[Any, AnySection]] | None,
         supports: Sequence[Support] = (),
         loads: Sequence[Load] = (),
         initial: Initial | None = None,
@@ -200,6 +201,8 @@ class Scene(eqx.Module):
         obstacles: Sequence[Obstacle] = (),
     ):
         check_kind("mesh", mesh, Mesh, "a jaxshell.Mesh")
+        if section is None and isinstance(mesh, Mesh) and not mesh.n_elements:
+            section = Section(1.0, 1.0, 0.0, 1.0)  # of no element
         if isinstance(section, Mapping | list | tuple):
             section = Regions.of(mesh, section)
         check_kind("section", section, AnySection, "a section such as jaxshell.Section")

@@ -3,6 +3,7 @@
 import abc
 from typing import ClassVar, cast
 
+import equinox as eqx
 import numpy as np
 
 from jaxshell.model.contribution import Contribution
@@ -15,6 +16,8 @@ class Connector(OfSets):
 
     kind: ClassVar[str]
     """Its name in scene files."""
+    name: eqx.AbstractVar[str | None]
+    """What watches and messages call it."""
 
     def placed(self, mesh: Mesh, number: int) -> tuple["Connector", Mesh]:
         """The connector with numbers in place of names, and the mesh with what it needs besides; `number` is its own.

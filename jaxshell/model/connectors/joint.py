@@ -28,7 +28,6 @@ class Joint(Connector):
 
     a: eqx.AbstractVar[Frozen | SetName]
     b: eqx.AbstractVar[Frozen | SetName]
-    name: eqx.AbstractVar[str | None]
 
     @property
     def pairs(self) -> Frozen:

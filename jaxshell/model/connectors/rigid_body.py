@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxshell.model.connectors.base import Connector
+from jaxshell.model.connectors.distributed import reference_of
 from jaxshell.model.contribution import Contribution
 from jaxshell.model.masses import check_masses, tensor
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sets import SetName, check_on_mesh, nodes_or_name
-from jaxshell.numerics.checks import check_text, float_array, shown
+from jaxshell.numerics.checks import check_text, float_array
 from jaxshell.numerics.frozen import Frozen
 
 
@@ -46,7 +47,7 @@ class RigidBody(Connector):
 
     def __init__(self, nodes, reference=None, mass: Any = 0.0, inertia=None, name: str | None = None, point=None):
         self.nodes = Frozen([]) if _is_empty(nodes) else nodes_or_name("rigid body nodes", nodes)
-        self.reference, place = _reference(reference)
+        self.reference, place = reference_of(reference, "A rigid body")
         self.point = place if point is None else float_array(point, "rigid body point")
         self.mass = float_array(mass, "rigid body mass")
         self.inertia = None if inertia is None else tensor(inertia, "rigid body inertia")
@@ -124,15 +125,3 @@ def check_bodies(bodies: Sequence[RigidBody], supports) -> None:
 
 def _is_empty(nodes) -> bool:
     return not isinstance(nodes, str) and np.size(getattr(nodes, "array", nodes)) == 0
-
-
-def _reference(given) -> tuple[Frozen | SetName | None, jax.Array | None]:
-    """(node, place) of a reference, one of them None."""
-    if given is None:
-        return None, None
-    if isinstance(given, str | Frozen) or np.size(given) == 1:
-        return nodes_or_name("rigid body reference", given), None
-    place = float_array(given, "rigid body reference")
-    if place.shape != (3,):
-        raise ValueError(f"A rigid body's reference is a node or a point (3,), but it is {shown(given)}.")
-    return None, place
