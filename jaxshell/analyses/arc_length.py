@@ -65,7 +65,7 @@ def solve_arc_length(
 ) -> Solution:
     """Follow the static equilibrium path of a scene through limit points, snap-through and snap-back.
 
-    Loads and prescribed displacements are in proportion to the load factor, as in `solve_static`. At a
+    Loads, prescribed displacements and rotations are in proportion to the load factor, as in `solve_static`. At a
     bifurcation the path goes on straight: a small imperfection or load leads it onto a branch.
 
     Arguments:
@@ -89,7 +89,7 @@ def solve_arc_length(
     check_positive("max_load_factor", max_load_factor)
     if not isinstance(steps, int | np.integer) or steps < 1:
         raise ValueError(f"steps must be a whole number of at least 1, but it is {steps!r}.")
-    if not scene.loads and all(support.displacement is None for support in scene.supports):
+    if not scene.loads and not any(support.moves_with_load for support in scene.supports):
         raise ValueError(_NO_PATH)
     if is_traced(scene, newton, arc_length):
         raise ValueError("solve_arc_length chooses its steps as it goes and cannot be traced: use solve_static.")
@@ -109,10 +109,20 @@ class _Step(NamedTuple):
     plan: Plan
     state: StaticState
     held_rate: Float[Array, " nh"]
-    """Held degrees of freedom that are moved go with the load factor."""
+    """Held degrees of freedom that are moved go with the load factor; of turning ones, at the start of the step."""
+
+    def held(self, increment) -> Float[Array, " nh"]:
+        """Increments of the held degrees of freedom: in proportion, but for nodes that turn about a point."""
+        if not self.model.turns:
+            return increment * self.held_rate
+        return self.model.held_increment(self.state.time, increment)
+
+    def rate(self, increment) -> Float[Array, " nh"]:
+        """Their derivative by the load factor."""
+        return self.held_rate if not self.model.turns else _derivative(self.held, increment)
 
     def increments(self, free, increment) -> Float[Array, "n 6"]:
-        return _STATIC.increments(self.model, self.state, free, increment * self.held_rate)
+        return _STATIC.increments(self.model, self.state, free, self.held(increment))
 
     def moves(self, free, held) -> Float[Array, "n 3"]:
         return self.model.spread(free, held, self.state.R)[:, :3]
@@ -126,14 +136,20 @@ class _Step(NamedTuple):
         model = self.model
         linear = self.plan.solvers.linear.posed(model)
         begun = _STATIC.begin(model, self.state, increment)
-        held = increment * self.held_rate
+        held = self.held(increment)
         u = _STATIC.increments(model, self.state, free, held)
         before = _STATIC.increments(model, self.state, last, jnp.where(jnp.any(last != 0), held, 0.0))
         matrix = _STATIC.tangent(model, self.state, begun, u, before, self.plan.solvers.tangent)
-        _, rate = jax.jvp(lambda t: model.free(self.balance(free, t).residual), (increment,), (jnp.ones(()),))
+        rate = _derivative(lambda t: model.free(self.balance(free, t).residual), increment)
         by_load, factorization, factored = linear.factor_and_solve(matrix, -rate)
         by_residual = linear.solve(factorization, factored, -residual)
         return by_residual, by_load
+
+
+def _derivative(function, at):
+    """Of a function of a number."""
+    _, rate = jax.jvp(function, (at,), (jnp.ones(()),))
+    return rate
 
 
 class _Carry(NamedTuple):
@@ -153,8 +169,8 @@ def _corrected(step: _Step, measure: Measure, length, c: _Carry) -> _Carry:
     n, newton = step.state.d.shape[0], step.plan.solvers.newton
     residual = step.model.free(step.balance(c.free, c.increment).residual)
     by_residual, by_load = step.two_solutions(c.free, c.last, c.increment, residual)
-    so_far = step.moves(c.free, c.increment * step.held_rate)
-    along = jnp.sum(so_far * step.moves(by_load, step.held_rate))
+    so_far = step.moves(c.free, step.held(c.increment))
+    along = jnp.sum(so_far * step.moves(by_load, step.rate(c.increment)))
     gap = 0.5 * (n * length**2 - jnp.sum(so_far * so_far))
     change = (gap - jnp.sum(so_far * step.moves(by_residual, 0.0 * step.held_rate))) / along
     found = measure.correction(by_residual + change * by_load, c.correction)
@@ -176,7 +192,10 @@ def _advance(model: Model, plan: Plan, state: StaticState, previous, length):
     """One step of arc length `length`, going on in the direction `previous` (n, 3) of the last step."""
     newton, n = plan.solvers.newton, state.d.shape[0]
     measure = Measure(model.size, model.tables.free % 6 >= 3, newton.max_rotation)
-    step = _Step(model, plan, state, model.held_increment(state.time, 1.0))
+    held_rate = model.held_increment(state.time, 1.0)
+    if model.turns:
+        held_rate = _derivative(lambda t: model.held_increment(state.time, t), jnp.zeros(()))
+    step = _Step(model, plan, state, held_rate)
     # Predictor along the tangent of the path, with the sense of the last step (loads grow at the start).
     zeros, zero = jnp.zeros(model.tables.free.shape), jnp.zeros(())
     _, tangent = step.two_solutions(zeros, zeros, zero, zeros)

@@ -147,7 +147,8 @@ def natural_frequencies(
 def linear_buckling(scene: Scene, count: int = 5) -> BucklingModes:
     """Lowest multiples of the scene's loads at which the linear stresses make the stiffness singular.
 
-    The loads, initial strains and prescribed displacements act at their full value, whatever their histories; K_σ
+    The loads, initial strains and prescribed displacements act at their full value, whatever their histories, and
+    prescribed rotations as if they were small; supports with a prescribed acceleration hold what they accelerate. K_σ
     holds the geometric stiffness of the linear solution and the stiffness of follower pressure. Good where the shell
     deforms little before it buckles; else follow the path with `solve_arc_length`. Only positive factors are
     sought: turn the loads round for the others. Differentiable like `natural_frequencies`.
@@ -220,6 +221,8 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
     x, R = model.gather(at_rest)
     matrices = jax.vmap(corotational.tangent_stiffness)(x, R, model.elements)
     held = model.held_displacement(1.0)
+    if model.turns:  # as small rotations
+        _, held = jax.jvp(lambda t: model.held_increment(jnp.zeros(()), t), (jnp.zeros(()),), (jnp.ones(()),))
     moved = model.spread(jnp.zeros(model.tables.free.shape), held, at_rest[1])
     internal = model.assemble_vector(jnp.einsum("mij,mj->mi", matrices, model.gather(moved).reshape(-1, 18)))
     loads = model.external_load(*at_rest, 1.0)

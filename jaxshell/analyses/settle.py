@@ -116,6 +116,8 @@ def settle(
             "settle chooses its steps as it goes and cannot be traced: trace solve_static, from the rest state as the "
             "scene's initial displacements and rotations."
         )
+    if any(support.acceleration is not None for support in scene.supports):
+        raise ValueError("settle: a support with a prescribed acceleration ends in no place: give its displacement.")
     check_supported(scene)
     setup = set_up(scene, Settling(), newton, linear_solver=linear_solver, save_every=save_every, reactions=True)
     with Progress(steps=max_steps, enabled=progress) as bar:
@@ -233,7 +235,7 @@ def _last_sample(scene: Scene) -> float:
 
 def _moved_at_once(scene: Scene, begin: float, ramp: float) -> Scene:
     """The scene with supports that move to their final place between the times `begin` and `begin` + `ramp`."""
-    moving = [i for i, support in enumerate(scene.supports) if support.displacement is not None]
+    moving = [i for i, support in enumerate(scene.supports) if support.moves]
     if not moving:
         return scene
     final = [scene.supports[i].history.values[-1] for i in moving]  # pyright: ignore[reportOptionalMemberAccess]

@@ -36,6 +36,7 @@ from jaxshell.gradients import Gradients, Stored
 from jaxshell.methods.base import Method
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import check_positive, check_positive_number, check_steps, is_concrete, require_float64
+from jaxshell.results.restart import time_of
 from jaxshell.results.solution import RESULTS, Solution
 from jaxshell.solvers.iteration import SUCCESSFUL
 from jaxshell.solvers.linear_solver import LinearSolver
@@ -101,6 +102,8 @@ def simulate(
     check_options(scene, method, save_every, tangent, newton)
     steps = _controlled(scene, method, dt, t_end) if isinstance(dt, StepControl) else step_sizes(dt, t_end)
     method.check(scene, np.asarray([dt.initial]) if isinstance(dt, StepControl) else steps)
+    if not isinstance(steps, Controlled):
+        check_turns(scene, steps, 0.0 if restart is None else time_of(restart.state))
     traced = is_traced(scene, method, newton, steps)
     setup = set_up(
         scene,
@@ -128,6 +131,25 @@ def simulate(
     if throw and solution.message:
         raise SimulationError(solution.message, solution)
     return solution
+
+
+def check_turns(scene: Scene, steps, start=0.0) -> None:
+    """Raise ValueError where a support turns its nodes by half a turn or more in one of the steps (N,) from `start` on.
+
+    A step would take such a turn the other way round. What JAX traces cannot be looked at: the run fails there.
+    """
+    for position, support in enumerate(scene.supports):
+        if support.rotation is None or not all(map(is_concrete, (*jax.tree.leaves(support), steps, start))):
+            continue
+        times = start + np.concatenate([[0.0], np.cumsum(steps)])
+        turns = np.abs(np.diff(np.asarray(support.angle) * np.asarray(support.history(times))))  # pyright: ignore[reportOptionalCall]
+        if np.any(turns >= np.pi):
+            i = int(np.argmax(turns >= np.pi))
+            raise ValueError(
+                f"support {position} turns its nodes by {turns[i]:.4g} rad in the step from time {times[i]:g} to "
+                f"{times[i + 1]:g}, and a step must turn them by less than half a turn (3.14 rad): use a dt below "
+                f"{3.14 / np.max(turns / np.diff(times)):.3g}."
+            )
 
 
 class Controlled(NamedTuple):

@@ -6,6 +6,7 @@ given load factors are taken as they are, in one program, and differentiated by 
 theorem.
 """
 
+import dataclasses
 import warnings
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -39,6 +40,7 @@ from jaxshell.methods.static import Static, StaticState, reactions_at
 from jaxshell.model.history import History
 from jaxshell.model.mechanisms import check_supported
 from jaxshell.model.scene import Scene
+from jaxshell.model.supports import Support
 from jaxshell.numerics.checks import check_finite, is_concrete, require_float64
 from jaxshell.numerics.compiled import compiled
 from jaxshell.results.solution import RESULTS, Solution
@@ -69,10 +71,18 @@ class LoadFactor(History):
 
 
 def proportional(scene: Scene) -> Scene:
-    """The scene with all loads and prescribed displacements in proportion to the load factor."""
+    """The scene with all loads, prescribed displacements and rotations in proportion to the load factor.
 
+    Supports with a prescribed acceleration hold what they accelerate: there is no time.
+    """
+    if any(support.acceleration is not None for support in scene.supports):
+        still = [
+            support if support.acceleration is None else Support(support.nodes.array, support.dofs)
+            for support in scene.supports
+        ]
+        scene = dataclasses.replace(scene, supports=still)
     loads = range(len(scene.loads))
-    moving = [i for i, support in enumerate(scene.supports) if support.displacement is not None]
+    moving = [i for i, support in enumerate(scene.supports) if support.moves]
 
     def histories(scene):
         return [scene.loads[i].history for i in loads] + [scene.supports[i].history for i in moving]
@@ -95,9 +105,10 @@ def solve_static(
 ) -> Solution:
     """Static equilibrium at a sequence of load factors.
 
-    Every load and every prescribed displacement acts as load factor times its full value; its history (how it
-    varies in time) is not looked at. Initial displacements and rotations of the scene are where the iteration
-    starts, initial velocities are ignored.
+    Every load, every prescribed displacement and every angle of a prescribed rotation acts as load factor times its
+    full value; its history (how it varies in time) is not looked at. Steps of half a turn or more are halved. Supports
+    with a prescribed acceleration hold what they accelerate. Initial displacements and rotations of the scene are where
+    the iteration starts, initial velocities are ignored.
 
     Arguments:
         scene: what to load. Its supports must leave no rigid-body motion free. Differentiable in its floats.

@@ -1,5 +1,6 @@
 """The model: a scene turned into arrays (elements, loads, supports, tables), built inside the compiled program."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxshell.assembly.driven import Motion, Turned, motion_of
 from jaxshell.assembly.elimination import Blocks, Elimination
 from jaxshell.assembly.gauges import Watching, watching
 from jaxshell.assembly.lumps import Lumps, lumped_nodes, lumps_of
@@ -19,7 +21,6 @@ from jaxshell.model.damping import Damping
 from jaxshell.model.history import History
 from jaxshell.model.loads import DeadLoad
 from jaxshell.model.scene import Scene
-from jaxshell.model.supports import Support
 from jaxshell.numerics.frozen import Frozen
 from jaxshell.numerics.fusion import formed
 
@@ -121,8 +122,8 @@ class Model(eqx.Module):
     contributions: tuple[Acting, ...]
     rests: tuple[tuple[Float[Array, "m 12"], History], ...]
     """Deformations at which the elements are free of stress, for every initial strain of the scene."""
-    moving: tuple[Support, ...]
-    """The supports with a prescribed motion."""
+    moving: tuple[Motion, ...]
+    """The prescribed motions of supports."""
     size: Float[Array, ""]
     """The shell's size, the diagonal of its bounding box [length]: the scale of convergence."""
     tables: Tables
@@ -156,7 +157,7 @@ class Model(eqx.Module):
             elements.frame[:, 2],
             jax.lax.stop_gradient(size),
         )
-        moving = tuple(support for support in scene.supports if support.displacement is not None)
+        moving = tuple(motion_of(support, x0, scene.initial) for support in scene.supports if support.moves)
         damping = None if scene.damping is None else scene.damping.per_element(scene.mesh.n_elements)
         unit = _membrane_scale(elements, lumps) if tables.multipliers else None
         acting = _acting(scene, tables, surface, unit)
@@ -316,15 +317,40 @@ class Model(eqx.Module):
         return self.assemble_matrix(matrices, others, self.elimination.blocks(arms, arms, spin), turning)
 
     def held_displacement(self, time) -> Float[Array, " nh"]:
-        """Displacements of the held degrees of freedom at `time`; zero where nothing is prescribed."""
-        values = jnp.zeros(self.x0.shape[0] * 6)
-        for support in self.moving:
-            values = values.at[support.dof_numbers].set(support.values(time))
-        return values[self.tables.held]
+        """Displacements of the held degrees of freedom at `time`; zero at rotations and where nothing is prescribed."""
+        return self._held([(motion, motion.displacements(time)) for motion in self.moving])
 
-    def held_increment(self, time, dt) -> Float[Array, " nh"]:
-        """Increments of the held degrees of freedom in the step from `time`."""
-        return self.held_displacement(time + dt) - self.held_displacement(time)
+    def held_increment(self, time, dt, size=lambda angle: angle) -> Float[Array, " nh"]:
+        """Increments of the held degrees of freedom in the step from `time`.
+
+        `size` makes of the angle of a turn about an axis the size of the method's parameters, by default rotation
+        vectors.
+        """
+        change = self.held_displacement(time + dt) - self.held_displacement(time)
+        if not self.turns:
+            return change
+        turned = [(motion, motion.turns(time, dt, size)) for motion in self.moving if isinstance(motion, Turned)]
+        return change + self._held(turned)
+
+    def held_rates(self, time) -> Float[Array, " nh"]:
+        """Prescribed velocities and angular velocities of the held degrees of freedom from `time` on."""
+        return self._held([(motion, motion.rates(time)) for motion in self.moving])
+
+    def held_accelerations(self, time) -> Float[Array, " nh"]:
+        """Prescribed accelerations of the held degrees of freedom at `time`; zero at rotations."""
+        return self._held([(motion, motion.accelerations(time)) for motion in self.moving])
+
+    @property
+    def turns(self) -> bool:
+        """Whether a support prescribes rotations."""
+        return any(isinstance(motion, Turned) for motion in self.moving)
+
+    def _held(self, prescribed: Sequence[tuple[Motion, Any]]) -> Float[Array, " nh"]:
+        """Values (k, d) of motions at the held degrees of freedom; zero where there are none."""
+        values = jnp.zeros(self.x0.shape[0] * 6)
+        for motion, of_it in prescribed:
+            values = values.at[motion.numbers.array].set(of_it)
+        return values[self.tables.held]
 
     def dead_load(self, time) -> Float[Array, "n 6"]:
         """Nodal forces and moments of all loads with a fixed direction at `time`."""

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from jaxshell.analyses.modal import natural_frequencies
+from jaxshell.analyses.simulation import check_turns, step_sizes
 from jaxshell.command.check_scene import entry
 from jaxshell.command.run_settings import arguments_of_simulate, chosen_methods, with_defaults
 from jaxshell.files.quoted import quote
@@ -35,6 +36,8 @@ def _run(scene: Scene, settings: RunSettings) -> tuple[list[str], list[str]]:
         methods, arguments = chosen_methods(settings, scene), arguments_of_simulate(settings)
         for method in methods.values():
             method.check(scene, np.asarray([settings.dt]))
+        if isinstance(arguments["dt"], float):
+            check_turns(scene, step_sizes(arguments["dt"], settings.t_end))
     except ValueError as error:
         return [entry("run", "in time")], [str(error)]
     dt = arguments["dt"]
@@ -62,7 +65,7 @@ def _other(scene: Scene, settings: RunSettings) -> tuple[list[str], list[str]]:
         check_supported(scene)
     except ValueError as error:
         return [line], [str(error)]
-    if not scene.loads and all(support.displacement is None for support in scene.supports):
+    if not scene.loads and not any(support.moves_with_load for support in scene.supports):
         return [line], [f"Nothing loads or moves the shell: {settings.analysis} has nothing to do."]
     return [line], []
 

@@ -11,6 +11,7 @@ from jaxshell.model.loads import InitialStrains, Load
 from jaxshell.model.mechanisms import connected_parts, free_motions
 from jaxshell.model.scene import Scene
 from jaxshell.model.sections import AnySection, Laminate, Regions, Section
+from jaxshell.model.supports import Support
 from jaxshell.plotting.scene import held_as
 from jaxshell.results.mass_properties import mass_properties
 from jaxshell.results.nodal_loads import nodal_loads, resultant
@@ -132,13 +133,21 @@ def _supports(scene: Scene) -> Iterator[str]:
         yield entry("supports", "none")
         return
     for support in scene.supports[:_MOST]:
-        size = "" if support.displacement is None else f" by {_range(support.displacement)}"
-        text = f"{held_as(support)}{size}: {_count(support.nodes.array.size, 'node')}"
+        text = f"{held_as(support)}{_motion(support)}: {_count(support.nodes.array.size, 'node')}"
         yield entry("support", text + (f"; {history(support.history)}" if support.history is not None else ""))
     if len(scene.supports) > _MOST:
         yield entry("", f"and {len(scene.supports) - _MOST} more")
     nodes = len(np.unique(scene.held_dofs // 6))
     yield entry("held", f"{len(scene.held_dofs)} degrees of freedom of {_count(nodes, 'node')}")
+
+
+def _motion(support: Support) -> str:
+    """How far a support moves, and where."""
+    if support.rotation is not None:
+        centre = "" if support.about is None else f" through {vector(support.about)}"
+        return f" by {float(np.asarray(support.angle)):.6g} rad about {vector(support.rotation)}{centre}"
+    size = support.displacement if support.acceleration is None else support.acceleration
+    return "" if size is None else f" by {_range(size)}"
 
 
 def _loads(scene: Scene) -> Iterator[str]:

@@ -9,7 +9,8 @@
                    side_sets = { name = [[node, node], ...] or { ... } for the boundary's edges between such nodes }
     [section]      thickness, young_modulus, poisson_ratio, density; kind = "isotropic" where it is not left out
     [materials.X], laminates, regions, [[thermal]], [[initial_strain]]: see `jaxshell.files.sections`
-    [[supports]]   nodes; hold = "clamped", "pinned", "symmetry x" or list; displacement, history
+    [[supports]]   nodes; hold = "clamped", "pinned", "symmetry x" or list; displacement or acceleration, or rotation
+                   with angle and about; history
     [[loads]]      kind = "force", "moment", "edge force", "gravity", "pressure" or "normal force"; nodes, edges of an
                    edge force (or inner = true for inner edges between the nodes), elements of a pressure; its force,
                    moment, acceleration, pressure or magnitude; history
@@ -56,6 +57,8 @@ LOAD_KINDS = {load.kind: load for load in LOADS if not issubclass(load, InitialS
 _SYMMETRY = {f"symmetry {normal}": symmetry([0], normal).dofs for normal in "xyz"}
 KNOWN = ("name", "units", "mesh", "materials", "section", "supports", "loads", "thermal", "initial_strain")
 KNOWN += ("damping", "watch", "initial", "run")
+MOTIONS = ("displacement", "rotation", "angle", "about", "acceleration")
+"""Keys of a support that moves."""
 HOLD = {"clamped": ALL, "pinned": ("ux", "uy", "uz"), **_SYMMETRY}
 
 
@@ -160,8 +163,9 @@ def _plain_mesh(table: Table, folder: Path) -> Mesh:
 
 
 def _support(table: Table, mesh: Mesh) -> Support:
-    table.only(*NODE_SELECTORS, "hold", "displacement", "history")
-    hold = table.get("hold")
+    table.only(*NODE_SELECTORS, "hold", *MOTIONS, "history")
+    # What a rotation prescribes follows from its other keys.
+    hold = table.content.get("hold") if "rotation" in table.content else table.get("hold")
     if isinstance(hold, str):
         if hold not in HOLD:
             choices = ", ".join(repr(name) for name in HOLD)
@@ -170,8 +174,8 @@ def _support(table: Table, mesh: Mesh) -> Support:
                 f"{meant(hold, HOLD)}"
             )
         hold = HOLD[hold]
-    displacement = table.content.get("displacement")
-    return table.call(Support, chosen_nodes(table, mesh), hold, displacement, _history(table))
+    motion = {key: table.content[key] for key in MOTIONS if key in table.content}
+    return table.call(Support, chosen_nodes(table, mesh), hold, history=_history(table), **motion)
 
 
 def _load(table: Table, mesh: Mesh) -> Load:

@@ -171,9 +171,20 @@ def _section(with_elements: bool) -> Schema:
 
 
 def _support() -> Schema:
+    """Held or moved along; or turned, which says by itself what it holds."""
     hold = _any({"enum": list(HOLD)}, _list({"enum": list(DOFS)}))
-    displacement = _said(ARRAYS, "moves the degrees of freedom of the list, times the history; ux, uy, uz only")
-    return _table({**_NODES, "hold": hold, "displacement": _any(NUMBER, displacement), "history": _HISTORY}, ["hold"])
+    moves = "moves the degrees of freedom of the list, times the history; ux, uy, uz only"
+    along = {
+        "displacement": _any(NUMBER, _said(ARRAYS, moves)),
+        "acceleration": _any(NUMBER, _said(ARRAYS, f"accelerates from rest: {moves}")),
+    }
+    turned = {
+        "rotation": _said(VECTOR, "the axis about which the nodes turn"),
+        "angle": _said(NUMBER, "in radians, times the history; default: 1"),
+        "about": _said(VECTOR, "a point of the axis: the nodes move round it, as one rigid body"),
+    }
+    held = {**_NODES, "hold": hold, "history": _HISTORY}
+    return _any(_table({**held, **along}, ["hold"]), _table({**held, **turned}, ["rotation", "history"]))
 
 
 def _load(load: Any) -> Schema:

@@ -155,6 +155,10 @@ class ImplicitMethod(Method):
         theta = u[3:]
         return Motion(x + u[:3], exp(theta) @ R, theta, H_inverse(theta))
 
+    def size_of_turn(self, angle) -> Float[Array, ""]:
+        """The size of the rotation's parameters of a turn by `angle` [rad] about a fixed axis, in its direction."""
+        return angle
+
     @abc.abstractmethod
     def element_forces(self, motion: Motion, u: Float[Array, "3 6"], data, step) -> Forces:
         """Forces of one element; `data` is its own step data, `step` what all elements share."""
@@ -462,7 +466,7 @@ def _scales(model: Model):
 def _problem(method: ImplicitMethod, model: Model, state, dt, solvers: Solvers):
     """(constants of the step, held increments, equations) of one step."""
     begun = method.begin(model, state, dt)
-    held = model.held_increment(state.time, dt)
+    held = model.held_increment(state.time, dt, method.size_of_turn)
 
     def matrix(free, last):
         # At the start of the step, where `last` is zero, the held degrees of freedom have not moved either.

@@ -111,6 +111,10 @@ class EnergyMomentum(ImplicitMethod):
         theta = u[3:]
         return Motion(x + u[:3], cayley(theta) @ R, theta, spin_matrix(theta))
 
+    def size_of_turn(self, angle):
+        """Of the Cayley vector."""
+        return 2.0 * jnp.tan(0.5 * angle)
+
     def element_forces(self, motion: Motion, u: Float[Array, "3 6"], data: ElementData, step: Shared) -> Forces:
         state = _evaluate(motion, u, data, step)
         elastic = energy_momentum.elastic_forces(state)
@@ -141,7 +145,7 @@ class EnergyMomentum(ImplicitMethod):
         Newton's iteration. A free shell then starts as a rigid body, a held one from where it is.
         """
         begun = self.begin(model, state, dt)
-        held = model.held_increment(state.time, dt)
+        held = model.held_increment(state.time, dt, self.size_of_turn)
         is_force = model.tables.free % 6 < 3
 
         def unbalanced(u):

@@ -28,7 +28,7 @@ from jaxshell.elements.corotational import Element
 from jaxshell.elements.inertia import PointStart, Spins, StepFactors
 from jaxshell.methods import damping, masses, predictor, seven_point
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
-from jaxshell.methods.start import initial_accelerations, initial_motion, linear_of
+from jaxshell.methods.start import initial_accelerations, initial_motion, linear_of, translational_inertia
 from jaxshell.methods.state import PredictedState
 from jaxshell.numerics.checks import Real, check_number, check_within, is_concrete
 
@@ -107,6 +107,7 @@ class ForceLevelMethod(ImplicitMethod):
     def start(self, model: Model, scene, time, solvers=None) -> NewmarkState:
         x, R, v, omega = initial_motion(model, scene)
         reaction = jnp.zeros(0)
+        a, alpha = initial_accelerations(model, linear_of(solvers), x, R, time, v, omega)
         if model.moving:
             force = model.internal_force(x, R, time) - model.external_load(x, R, jnp.asarray(time))
             if model.damping is not None:
@@ -114,8 +115,9 @@ class ForceLevelMethod(ImplicitMethod):
             if model.resisting:
                 here = x, R, jnp.asarray(time)
                 force = force - model.resistance(here, here, jnp.concatenate([v, omega], axis=1))
+            # Of the inertia what does work there: gyroscopic moments are normal to the spin.
+            force = force.at[:, :3].add(translational_inertia(model, a))
             reaction = model.collected(force, R).reshape(-1)[model.tables.held]
-        a, alpha = initial_accelerations(model, linear_of(solvers), x, R, time, v, omega)
         return NewmarkState(
             time=jnp.asarray(time, float),
             x=x,

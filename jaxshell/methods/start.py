@@ -42,7 +42,11 @@ def initial_accelerations(model: Model, linear, x: Nodal, R, time, v: Nodal, ome
 
 
 def initial_motion(model: Model, scene: Scene) -> tuple[Nodal, Float[Array, "n 3 3"], Nodal, Nodal]:
-    """Positions, rotations, velocities and angular velocities at the start; held degrees of freedom do not move."""
+    """Positions, rotations, velocities and angular velocities at the start, time 0.
+
+    Held degrees of freedom do not move, and those with a prescribed motion have its rates: had they none, a method of
+    mean velocities would swing between zero and twice the rate ever after.
+    """
     n = model.x0.shape[0]
     x, R = model.x0, jnp.broadcast_to(jnp.eye(3), (n, 3, 3))
     v = omega = jnp.zeros((n, 3))
@@ -55,7 +59,8 @@ def initial_motion(model: Model, scene: Scene) -> tuple[Nodal, Float[Array, "n 3
     rates = jnp.concatenate([v, omega], axis=1)
     if model.elimination is not None:
         rates = model.elimination.along(rates)
-    rates = rates.reshape(-1).at[model.tables.held].set(0.0).reshape(n, 6)
+    held = model.held_rates(jnp.zeros(())) if model.moving else 0.0
+    rates = rates.reshape(-1).at[model.tables.held].set(held).reshape(n, 6)
     if model.elimination is None:
         return x, R, rates[:, :3], rates[:, 3:]
     rates = model.elimination.nodal_forces(rates)
@@ -65,10 +70,12 @@ def initial_motion(model: Model, scene: Scene) -> tuple[Nodal, Float[Array, "n 3
 def _accelerations(model: Model, linear, x, R, time, rates: Float[Array, "n 6"], force) -> Float[Array, "n 6"]:
     """The accelerations (n, 6) of `initial_accelerations`, `force` (n, 6) without those of inertia."""
     n, omega = x.shape[0], rates[:, 3:]
-    # What nodes have of acceleration without any of the unknowns: followers turn about their masters.
+    # What nodes have of acceleration without any of the unknowns: followers turn about their masters, others are moved.
     known = jnp.zeros((n, 6))
     if model.elimination is not None:
         known = known.at[:, :3].set(model.elimination.centripetal(R, omega))
+    if model.moving:
+        known = known + model.spread(jnp.zeros(model.tables.free.shape), model.held_accelerations(time), R)
 
     def weighted(R, element):
         """The mass matrix, with a little inertia about directors."""
@@ -107,7 +114,7 @@ def _whole(model: Model, given, default):
 def initial_translational_acceleration(
     model: Model, x: Nodal, R: Float[Array, "n 3 3"], time, v: Nodal, omega: Nodal
 ) -> Nodal:
-    """d̈ from M d̈ = f_ext - f_int - f_damp over the free displacements; zero at the held ones.
+    """d̈ from M d̈ = f_ext - f_int - f_damp over the free displacements; prescribed at the held ones.
 
     The consistent mass matrix of linear triangles is well conditioned, so conjugate gradients preconditioned
     with its diagonal reach round-off in some thirty products.
@@ -120,6 +127,10 @@ def initial_translational_acceleration(
         force = force + model.resistance((x, R, time), (x, R, time), jnp.concatenate([v, omega], axis=1))
     is_free = jnp.zeros(6 * n).at[model.tables.free].set(1.0).reshape(n, 6)[:, :3]
     mass = model.elements.mass_per_area * model.elements.area
+    given = None
+    if model.moving:
+        given = jnp.zeros(6 * n).at[model.tables.held].set(model.held_accelerations(time)).reshape(n, 6)[:, :3]
+        force = force.at[:, :3].add(-translational_inertia(model, given))
 
     lumped = jnp.zeros((n, 1))
     if model.lumps is not None:
@@ -139,4 +150,14 @@ def initial_translational_acceleration(
     found, _ = jax.scipy.sparse.linalg.cg(
         product, is_free * force[:, :3], tol=1e-15, maxiter=200, M=lambda r: scale * r
     )
+    return found if given is None else found + given
+
+
+def translational_inertia(model: Model, a: Nodal) -> Nodal:
+    """Forces M a of the consistent mass, and of point masses, on nodes with the accelerations a."""
+    mass = model.elements.mass_per_area * model.elements.area
+    corner = mass[:, None, None] * (jnp.asarray(LINEAR_MASS) @ model.gather(a))
+    found = model.tables.nodal(corner.reshape(-1, 3))
+    if model.lumps is not None:
+        found = found.at[model.lumps.at].add(model.lumps.mass[:, None] * a[model.lumps.at])
     return found

@@ -269,8 +269,8 @@ class Scene(eqx.Module):
         check_gauge(what, gauge, self.section, self.mesh, [number])
 
     def _check_prescribed_once(self):
-        moved = [s.dof_numbers.ravel() for s in self.supports if s.displacement is not None]
-        held = [s.dof_numbers.ravel() for s in self.supports if s.displacement is None]
+        moved = [s.dof_numbers.ravel() for s in self.supports if s.moves]
+        held = [s.dof_numbers.ravel() for s in self.supports if not s.moves]
         if moved:
             numbers = np.concatenate(moved)
             both = np.intersect1d(numbers, np.concatenate([*held, np.zeros(0, int)]))

@@ -146,8 +146,10 @@ def _named(scene: Scene, nodes: np.ndarray) -> str:
 def held_as(support: Support) -> str:
     """A support's usual name, such as "clamped", "symmetry x", else what it holds or moves, such as "ux, uy held"."""
     dofs = set(support.dofs)
-    if support.displacement is not None:
-        return f"{', '.join(support.dofs)} moved"
+    if support.rotation is not None:
+        return "turned in place" if support.about is None else "turned as one body"
+    if support.moves:
+        return f"{', '.join(support.dofs)} {'moved' if support.acceleration is None else 'accelerated'}"
     if dofs == set(ALL):
         return "clamped"
     if dofs == set(pinned([0]).dofs):

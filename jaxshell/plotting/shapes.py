@@ -82,7 +82,7 @@ def symmetry_planes(scene: Scene) -> list[tuple[int, float]]:
     planes = {}
     for support in scene.supports:
         for axis, normal in enumerate("xyz"):
-            if support.displacement is not None or set(support.dofs) != set(symmetry([0], normal).dofs):
+            if support.moves or set(support.dofs) != set(symmetry([0], normal).dofs):
                 continue
             held = nodes[support.nodes.array, axis]
             beyond = nodes[:, axis] - held[0]

@@ -144,4 +144,6 @@ def _read_object(group) -> Any:
 def _read_item(item) -> Any:
     if isinstance(item, h5py.Group):
         return _read_object(item)
-    return jnp.asarray(item[()]) if item.dtype.kind == "f" else item[()]
+    if item.dtype.kind == "f":
+        return jnp.asarray(item[()])
+    return item[()] if item.shape else item[()].item()
