@@ -191,8 +191,8 @@ def analyse(structure: Structure) -> tuple[Tables, SparsityPattern]:
 def _keys(nodes: np.ndarray, number: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
     """row·size + column of every entry of the matrices of groups (k, c), negative where it is of a held one; and the
     positions of those that are not."""
-    dofs = number[(6 * nodes[:, :, None] + np.arange(6)).reshape(len(nodes), -1)]
-    width = dofs.shape[1]
+    width = 6 * nodes.shape[1]
+    dofs = number[(6 * nodes[:, :, None] + np.arange(6)).reshape(len(nodes), width)]
     rows = np.repeat(dofs, width, axis=1).ravel()
     columns = np.tile(dofs, (1, width)).ravel()
     free = (rows >= 0) & (columns >= 0)

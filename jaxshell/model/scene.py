@@ -298,11 +298,10 @@ class Scene(eqx.Module):
     @property
     def point_masses(self) -> Masses | None:
         """The masses at nodes, those of rigid bodies among them; None where there are none."""
-        bodies = [b for b in self.bodies if b.inertia is not None or not is_concrete(b.mass) or b.mass > 0]
-        if not self.masses and not bodies:
+        items = (*self.masses, *self.bodies)
+        if not items:
             return None
-        nodes = [item.nodes.array for item in self.masses] + [np.array([body.master]) for body in bodies]
-        items = (*self.masses, *bodies)
+        nodes = [item.nodes.array for item in self.masses] + [np.array([body.master]) for body in self.bodies]
         mass = [jnp.broadcast_to(item.mass, (len(n),)) for item, n in zip(items, nodes, strict=True)]
         turning = [(i.inertia, n) for i, n in zip(items, nodes, strict=True) if i.inertia is not None]
         tensors = [jnp.broadcast_to(inertia, (len(n), 3, 3)) for inertia, n in turning]

@@ -94,6 +94,8 @@ class Section(AnySection):
 
     def per_element(self, n_elements: int) -> "Section":
         """The same section with every value as an array (n_elements,). Raises ValueError for another length."""
+        if not n_elements:  # of a mesh of points alone
+            return jax.tree.map(lambda value: jnp.zeros(0), self)
         return Section(**{name: for_each(name, jnp.asarray(getattr(self, name)), n_elements) for name in _VALUES})
 
 
