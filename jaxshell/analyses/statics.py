@@ -278,7 +278,13 @@ def reactions(solution: Solution) -> Float[Array, "*k n 6"]:
     if solution.reaction is not None:
         n, steps = solution.scene.mesh.n_nodes, solution.reaction.shape[:-1]
         nodal = jnp.zeros((*steps, 6 * n)).at[..., solution.scene.held_dofs].set(solution.reaction)
-        return nodal.reshape(*steps, n, 6)
+        nodal = nodal.reshape(*steps, n, 6)
+        if solution.scene.turned is None:
+            return nodal
+        # Along the supports' own axes.
+        turned, axes = solution.scene.turned.array, solution.scene.axes
+        pairs = nodal[..., turned, :].reshape(*steps, len(turned), 2, 3)
+        return nodal.at[..., turned, :].set(jnp.einsum("sij,...skj->...ski", axes, pairs).reshape(*steps, -1, 6))
     if solution.analysis != "static":
         raise ValueError(
             "reactions() of a run in time need simulate(..., reactions=True), which this run of "

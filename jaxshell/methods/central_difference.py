@@ -158,15 +158,21 @@ class CentralDifference(Method):
     def step(self, model: Model, state: ExplicitState, dt, solvers, memory):
         mass, end, held = state.mass, state.time + dt, model.tables.held
 
+        def holding(nodal, held_rates):
+            """The rates with those of held degrees of freedom, along the nodes' own axes where they have some."""
+            along = nodal if model.elimination is None else model.elimination.along(nodal)
+            along = along.reshape(-1).at[held].set(held_rates).reshape(-1, 6)
+            return along if model.elimination is None else model.elimination.nodal_forces(along)
+
         def acceleration(load, internal):
-            return ((load - internal) / mass).reshape(-1).at[held].set(0.0).reshape(-1, 6)
+            return holding((load - internal) / mass, 0.0)
 
         alpha = None if state.damped is None else state.damped.alpha
         slowed = state.rates if alpha is None else state.rates * (1.0 - 0.5 * dt * alpha)
         middle = slowed + 0.5 * dt * acceleration(state.load, state.internal)
         if model.moving:
             moved = model.held_increment(state.time, dt)
-            middle = middle.reshape(-1).at[held].set(moved / dt).reshape(-1, 6)
+            middle = holding(middle, moved / dt)
         u = dt * middle
         x, R = state.x + u[:, :3], jnp.einsum("nij,njk->nik", jax.vmap(exp)(u[:, 3:]), state.R)
         before = None if state.damped is None else state.damped.deformations
@@ -253,6 +259,8 @@ def _check_joined(scene: Scene) -> None:
         raise ValueError("CentralDifference solves no equations, which joints need: use an implicit method.")
     if scene.bodies:
         raise ValueError("CentralDifference has no rigid bodies, whose nodes' masses move as one: use another method.")
+    if scene.turned is not None and (scene.damping is not None or any(s.moves for s in scene.supports)):
+        raise ValueError("CentralDifference has slanted supports without damping and prescribed motions only.")
     masses = scene.point_masses
     if masses is None or not is_concrete(masses.inertia):
         return

@@ -20,7 +20,7 @@ from jaxshell.model.mesh import Mesh
 from jaxshell.model.obstacles import Obstacle
 from jaxshell.model.sections import AnySection, Regions, Section
 from jaxshell.model.sets import check_on_mesh
-from jaxshell.model.supports import DOFS, Support
+from jaxshell.model.supports import DOFS, Support, slanted_axes
 from jaxshell.numerics.checks import (
     check_choice,
     check_count,
@@ -241,6 +241,7 @@ class Scene(eqx.Module):
         if self.initial is not None:
             self.initial.check(n)
         self._check_prescribed_once()
+        slanted_axes(self.supports)
         check_bodies(self.bodies, self.supports)
 
     def _check_items(self):
@@ -324,13 +325,23 @@ class Scene(eqx.Module):
 
     @property
     def turned(self) -> Frozen | None:
-        """The nodes with axes of their own; None where there are none."""
-        return None
+        """The nodes with axes of their own, and the nodes of rigid bodies whose references have some; None without."""
+        nodes, _ = self._slanted
+        return Frozen(nodes) if nodes.size else None
 
     @property
     def axes(self) -> Float[jax.Array, "s 3 3"]:
         """Theirs, as columns."""
-        return jnp.zeros((0, 3, 3))
+        return self._slanted[1]
+
+    @property
+    def _slanted(self) -> tuple[np.ndarray, Float[jax.Array, "s 3 3"]]:
+        nodes, axes = slanted_axes(self.supports)
+        if not nodes.size or self.masters is None:
+            return nodes, axes
+        masters = self.masters.array
+        every = np.flatnonzero(np.isin(masters, nodes))
+        return every, axes[np.searchsorted(nodes, masters[every])]
 
     @property
     def held_dofs(self) -> np.ndarray:

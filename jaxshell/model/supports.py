@@ -19,6 +19,7 @@ from jaxshell.numerics.checks import (
     is_concrete,
     shown,
 )
+from jaxshell.numerics.directions import across, unit_vector
 from jaxshell.numerics.frozen import Frozen
 
 DOFS = ("ux", "uy", "uz", "rx", "ry", "rz")
@@ -27,7 +28,7 @@ TURNS = DOFS[3:]
 
 
 class Support(OfSets):
-    """Hold degrees of freedom of nodes, in global axes, or move them as a history says.
+    """Hold degrees of freedom of nodes, in global axes or in others, or move them as a history says.
 
     Arguments:
         nodes: node indices, or the name of a set.
@@ -50,6 +51,9 @@ class Support(OfSets):
             linear between the samples (`History.double_integral`): one in space, with whatever drift the record has.
             The last sample lasts: end a record with zero. In statics, where there is no time, the degrees of freedom
             are held. Only for ux, uy, uz. Differentiable.
+        axes: (3, 3) unit vectors, row by row, along which `dofs` and their values are meant in place of x, y and z: a
+            slanted support. They stay as they are. All supports of a node have the same. Differentiable.
+        normal: (3,) in place of axes: "x" is along it, and "y" and "z" are across, wherever that is.
 
     A step may turn nodes by less than half a turn; `simulate` refuses longer ones. Nodes that have a velocity at time 0
     (a slope of the history there) have it from the start, whatever the scene's `Initial` says of them. Every other kink
@@ -70,6 +74,7 @@ class Support(OfSets):
     angle: Float[jax.Array, ""] | None
     about: Float[jax.Array, "3"] | None
     acceleration: Float[jax.Array, "*d"] | None
+    axes: Float[jax.Array, "3 3"] | None
 
     def __init__(
         self,
@@ -82,6 +87,8 @@ class Support(OfSets):
         angle=None,
         about=None,
         acceleration=None,
+        axes=None,
+        normal=None,
     ):
         self.nodes = nodes_or_name("support nodes", nodes)
         if dofs is None:
@@ -117,8 +124,11 @@ class Support(OfSets):
         self.rotation, self.angle = floats("rotation", rotation), floats("angle", angle)
         self.about = None if about is None else float_array(about, "A rotation's about")
         self.history = history
+        self.axes = _axes(axes, normal)
 
     def __check_init__(self):
+        if self.axes is not None and self.rotation is not None:
+            raise ValueError("A prescribed rotation has an axis of its own: leave the support's axes out.")
         if not self.dofs:
             raise ValueError("A support must hold at least one of " + ", ".join(DOFS) + ".")
         for name in self.dofs:
@@ -195,6 +205,54 @@ class Support(OfSets):
         return jnp.broadcast_to(self.displacement, shape) * self.history(time)
 
 
+def _axes(axes, normal) -> Float[jax.Array, "3 3"] | None:
+    """Rows along which a slanted support holds; None where it is none. Raises ValueError for what are no axes."""
+    if axes is None and normal is None:
+        return None
+    if axes is not None and normal is not None:
+        raise ValueError("A support has axes or a normal, not both.")
+    if axes is None:
+        normal = unit_vector(normal, "A support's normal")
+        return across(normal)
+    axes = float_array(axes, "A support's axes")
+    check_shape("A support's axes", axes, (3, 3))
+    check_finite("A support's axes", axes)
+    if is_concrete(axes):
+        error = np.abs(np.asarray(axes) @ np.asarray(axes).T - np.eye(3)).max()
+        if error > _ORTHOGONAL or np.linalg.det(np.asarray(axes)) < 0:
+            raise ValueError(
+                "A support's axes must be three unit vectors, row by row, at right angles and right-handed, but they "
+                f"are {np.asarray(axes).tolist()}."
+            )
+    return axes
+
+
+_ORTHOGONAL = 1e-8
+
+
+def slanted_axes(supports) -> tuple[np.ndarray, Float[jax.Array, "s 3 3"]]:
+    """(s,) nodes with axes of their own, ascending, and their axes as columns.
+
+    Raises ValueError for a node that two supports hold along different axes.
+    """
+    found: dict[int, tuple[int, Float[jax.Array, "3 3"] | None]] = {}
+    for position, support in enumerate(supports):
+        for node in support.nodes.array.tolist():
+            first, axes = found.setdefault(node, (position, support.axes))
+            if axes is support.axes or _same(axes, support.axes):
+                continue
+            raise ValueError(f"supports {first} and {position} hold node {node} along different axes: give them one.")
+    nodes = sorted(node for node, (_, axes) in found.items() if axes is not None)
+    columns = [jnp.swapaxes(found[node][1], 0, 1) for node in nodes]  # pyright: ignore[reportArgumentType]
+    return np.array(nodes, int), jnp.stack(columns) if nodes else jnp.zeros((0, 3, 3))
+
+
+def _same(first, second) -> bool:
+    if first is None or second is None:
+        return False
+    return not (is_concrete(first) and is_concrete(second)) or np.array_equal(np.asarray(first), np.asarray(second))
+
+
 def _check_starts(what: str, history: History) -> None:
     """Raise ValueError for a history of a motion that is not where the nodes are at time 0."""
     if not (is_concrete(history.times) and is_concrete(history.values)):
@@ -217,9 +275,11 @@ def pinned(nodes) -> Support:
     return Support(nodes, ("ux", "uy", "uz"))
 
 
-def symmetry(nodes, normal: str) -> Support:
-    """Nodes in a plane of symmetry with the given normal, "x", "y" or "z"."""
+def symmetry(nodes, normal) -> Support:
+    """Nodes in a plane of symmetry with the given normal: "x", "y", "z", or a vector (3,)."""
     held = {"x": ("ux", "ry", "rz"), "y": ("uy", "rx", "rz"), "z": ("uz", "rx", "ry")}
-    if not isinstance(normal, str) or normal not in held:
-        raise ValueError(f"normal must be 'x', 'y' or 'z', but it is {shown(normal)}.")
-    return Support(nodes, held[normal])
+    if isinstance(normal, str):
+        if normal not in held:
+            raise ValueError(f"normal must be 'x', 'y', 'z' or a vector (3,), but it is {shown(normal)}.")
+        return Support(nodes, held[normal])
+    return Support(nodes, held["x"], normal=normal)

@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxshell.model.connectors.joint import Conditions, Joint, Together, across, named, unit_vector
+from jaxshell.model.connectors.joint import Conditions, Joint, Together, named
 from jaxshell.model.contribution import Contribution, Place
 from jaxshell.model.sets import SetName, nodes_or_name
+from jaxshell.numerics.directions import across, unit_vector
 from jaxshell.numerics.frozen import Frozen
 
 

@@ -3,7 +3,6 @@
 from typing import ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -12,7 +11,7 @@ from jaxshell.model.connectors.base import Connector
 from jaxshell.model.contribution import Constraint, Place
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sets import SetName, check_on_mesh
-from jaxshell.numerics.checks import check_finite, check_shape, check_text, float_array, is_concrete
+from jaxshell.numerics.checks import check_text, is_concrete
 from jaxshell.numerics.frozen import Frozen
 
 _TOGETHER = 1e-6
@@ -64,26 +63,6 @@ def named(kind: str, name: str | None) -> str | None:
     if name is not None:
         check_text(f"The name of a {kind}", name)
     return name
-
-
-def unit_vector(value, what: str) -> Float[jax.Array, "3"]:
-    """A direction. Raises ValueError calling it `what` for a vector of no length."""
-    vector = float_array(value, what)
-    check_shape(what, vector, (3,))
-    check_finite(what, vector)
-    if is_concrete(vector) and not np.linalg.norm(np.asarray(vector)) > 0:
-        raise ValueError(f"{what} must have a length, but it is {np.asarray(vector).tolist()}.")
-    return vector
-
-
-def across(axis: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """The unit vector along an axis and two perpendicular ones, as rows."""
-    first = axis / jnp.linalg.norm(axis)
-    # The coordinate axis that is furthest from it, chosen without derivative.
-    other = jnp.eye(3)[jnp.argmin(jnp.abs(jax.lax.stop_gradient(first)))]
-    second = jnp.cross(first, other)
-    second = second / jnp.linalg.norm(second)
-    return jnp.stack([first, second, jnp.cross(first, second)])
 
 
 def twist(first: Float[Array, "3 3"], second: Float[Array, "3 3"]) -> Float[Array, "3"]:
