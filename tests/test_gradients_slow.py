@@ -259,5 +259,6 @@ expected = jax.jit(batch)(loads)
 for _ in range(5):
     np.testing.assert_allclose(spread(loads), expected, rtol=1e-12)
 """
-    environment = {**os.environ, "XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=2"
+    environment = {**os.environ, "XLA_FLAGS": flags}
     subprocess.run([sys.executable, "-c", program], env=environment, check=True)

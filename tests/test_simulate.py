@@ -147,8 +147,10 @@ def test_results_go_to_disk_as_they_come(whole, scene, tmp_path):
 
 
 @pytest.mark.slow
-def test_chunks_of_any_length_make_the_same_run(whole, scene, monkeypatch):
-    """A chunk lasts about a second, however far apart the frames are: here one step at a time."""
+@pytest.mark.optimised
+def test_chunks_of_any_length_make_the_same_run(scene, monkeypatch):
+    """To the last bit. A chunk lasts about a second, however far apart the frames are: here one step at a time."""
+    whole = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, newton=TIGHT)
     monkeypatch.setattr("jaxshell.analyses.simulation._CHUNK_TIME", 0.0)
     found = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=10**9, newton=TIGHT)
     for name in ("times", "iterations", "watched", "energy"):
