@@ -1,7 +1,7 @@
 """Settings that every test runs under."""
 
+import gc
 import os
-import re
 
 import jax
 import jaxtyping
@@ -12,17 +12,49 @@ from jaxshell.numerics.compiled import OPTIONS
 jax.config.update("jax_enable_x64", True)
 
 
-def pytest_configure(config):
-    """Programs are compiled in half the time: the tests' own as jaxshell's are, and all by LLVM without optimising.
+_SETTINGS = {
+    "jax_disable_most_optimizations": True,  # half the time in XLA, but twice the time of a run
+    "jax_traceback_in_locations_limit": 0,  # the line of Python beside every operation, which only a debugger reads
+    "jax_persistent_cache_min_compile_time_secs": 0.0,  # where programs are kept, small ones too
+}
 
-    The long tests run for longer than they compile: a little of it pays there. Two tests are marked slow for that alone:
-    that chunks of any length, and a run that goes on, make the same run to the last bit is shown with optimised
-    programs, as users have them.
-    """
-    level = 1 if {"slow", "evidence"} & set(re.findall(r"(?<!not )\b\w+", config.option.markexpr)) else 0
-    options = {**OPTIONS, "xla_backend_optimization_level": level}
+
+def _set(name, value) -> None:
+    """For this process and for those that a test starts."""
+    jax.config.update(name, value)
+    os.environ[name.upper()] = str(value)
+
+
+def pytest_configure(config):
+    """Most of the tests' time is compiling: their own programs are compiled as jaxshell's are, and all in one piece
+    each, as every core has tests of its own. Garbage is looked for less often: a trace keeps all that it makes."""
+    options = {**OPTIONS, "xla_backend_optimization_level": 1, "xla_cpu_parallel_codegen_split_count": 1}
     flags = " ".join(f"--{name}={str(value).lower()}" for name, value in options.items())
     os.environ["XLA_FLAGS"] = f"{flags} {os.environ.get('XLA_FLAGS', '')}"
+    for name, value in _SETTINGS.items():
+        _set(name, value)
+    gc.set_threshold(200_000, 50, 100)
+
+
+_LONGEST_FIRST = """gradients_slow second_derivatives examples docs sweep_slow damping statics reactions settle laminates
+scenes_static stability_slow energy_momentum_slow paper_scenes_slow contributions stresses cli energy_momentum simulate
+extending methods units gradients generalized_energy_momentum modal benchmarks advise sections rotations readme
+properties_budgets scenes_dynamic durable properties_runs step_control"""
+"""Files go to the workers in this order, then all others: none is left for one worker at the end, with the rest idle."""
+
+
+def pytest_collection_modifyitems(items):
+    place = {f"test_{name}": i for i, name in enumerate(_LONGEST_FIRST.split())}
+    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    """Tests run programs that are not optimised, but those marked `optimised`: before their fixtures are made."""
+    quick = item.get_closest_marker("optimised") is None
+    if str(quick) != os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"]:
+        jax.clear_caches()
+        _set("jax_disable_most_optimizations", quick)
 
 
 @pytest.fixture(autouse=True)

@@ -94,7 +94,8 @@ def test_rerun_of_a_result_file_gives_the_same(finished):
     assert one.stats["method"] == two.stats["method"]
 
 
-@pytest.mark.slow  # bit for bit: by optimised programs, see conftest.py
+@pytest.mark.slow
+@pytest.mark.optimised
 @pytest.mark.parametrize(
     "method",
     [

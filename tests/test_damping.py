@@ -33,7 +33,7 @@ METHODS = {
     "bathe": js.Bathe(),  # the trapezoidal rule among its halves
     "central_difference": js.CentralDifference(),
 }
-ALL = [pytest.param(name, marks=pytest.mark.slow if name == "bathe" else ()) for name in METHODS]
+ALL = [pytest.param(name, marks=pytest.mark.slow if name in ("averaged", "bathe") else ()) for name in METHODS]
 
 
 def strip(alpha=0.0, beta=0.0, velocities=None, angular_velocities=None, force=0.0) -> js.Scene:

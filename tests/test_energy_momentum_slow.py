@@ -10,7 +10,7 @@ from test_energy_momentum import drift, euler, rigid, run
 
 import jaxshell as js
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.optimised]
 EXACT = js.Newton(tolerance=1e-14, max_iterations=40)
 FREE_FROM = 0.004 * (1 + 1e-9)
 """The plate's loads vanish at 4 ms."""

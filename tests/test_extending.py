@@ -1,4 +1,5 @@
-"""docs/extending.md: its code runs as it stands and its answers are right; a load and a section touch few files."""
+"""docs/extending.md: its code runs as it stands and its answers are right (slow: five programs are compiled for that);
+a load and a section touch few files."""
 
 import re
 from pathlib import Path
@@ -68,6 +69,7 @@ def test_section(names):
     assert float(jax.grad(tip)(jnp.array(0.018))) == pytest.approx(difference, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_integrator(names):
     """α = 0 is Newmark's trapezoidal rule; -0.1 damps and is near it."""
     kind = names["WoodBossakZienkiewicz"]
@@ -78,6 +80,7 @@ def test_integrator(names):
     assert 1e-6 * size < apart < 1e-2 * size
 
 
+@pytest.mark.slow
 def test_output(names):
     """Every step is a line, also beside a result file; the last line says how the run ended."""
     head, *rows, end = names["table"]

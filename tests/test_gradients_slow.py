@@ -150,6 +150,16 @@ def test_a_free_plate_at_rest(method):
     np.testing.assert_allclose(np.sum(gradients[2]), 2e-4 * rest.size, rtol=1e-9)
 
 
+@functools.cache
+def adjoint(gradients):
+    def value(p):
+        steps = jnp.repeat(DT * (1 + p["dt"]), 3)
+        options = {"save_every": 6, "newton": NEWTON, "gradients": gradients, "throw": False}
+        return measure(js.simulate(shell(p), js.GeneralizedEnergyMomentum(), dt=steps, **options))
+
+    return jax.jit(jax.grad(value)).lower(parameters()).compile()
+
+
 @pytest.mark.parametrize(
     "kept",
     [
@@ -159,26 +169,8 @@ def test_a_free_plate_at_rest(method):
     ],
 )
 def test_checkpoints_change_nothing(kept):
-    p = parameters()
-
-    def adjoint(gradients):
-        def value(p):
-            steps = jnp.repeat(DT * (1 + p["dt"]), 3)
-            run = js.simulate(
-                shell(p),
-                js.GeneralizedEnergyMomentum(),
-                dt=steps,
-                save_every=6,
-                newton=NEWTON,
-                gradients=gradients,
-                throw=False,
-            )
-            return measure(run)
-
-        return jax.jit(jax.grad(value)).lower(p).compile()
-
-    stored, checkpointed = adjoint(Stored()), adjoint(kept)
-    for name, gradient in stored(p).items():
+    p, checkpointed = parameters(), adjoint(kept)
+    for name, gradient in adjoint(Stored())(p).items():
         np.testing.assert_allclose(checkpointed(p)[name], gradient, rtol=1e-9, atol=1e-12, err_msg=name)
     # Newton's solve runs again on the way back only where the increments were not kept.
     solves = checkpointed.as_text().count('custom_call_target="pardiso_mkl_jax_factor_solve"')
@@ -259,5 +251,6 @@ expected = jax.jit(batch)(loads)
 for _ in range(5):
     np.testing.assert_allclose(spread(loads), expected, rtol=1e-12)
 """
-    environment = {**os.environ, "XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=2"
+    environment = {**os.environ, "XLA_FLAGS": flags}
     subprocess.run([sys.executable, "-c", program], env=environment, check=True)

@@ -6,7 +6,7 @@ from test_paper_scenes import DATA, drift, impulse
 
 import jaxshell as js
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.optimised]
 
 
 def methods(scene) -> dict[str, js.GeneralizedEnergyMomentum]:

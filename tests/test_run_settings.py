@@ -222,7 +222,7 @@ def test_all_three_ask_for_the_same_run(name, asked, tmp_path):
         assert options["reactions"] is True and options["linear_solver"] == js.Dense()
 
 
-@pytest.mark.parametrize("name", ["paper", "controlled"])
+@pytest.mark.parametrize("name", [pytest.param("paper", marks=pytest.mark.slow), "controlled"])
 def test_result_file_says_it_again(name, asked, tmp_path):
     """A file that a run wrote asks for the same run: what its settings say, key by key."""
     settings = RUNS[name]

@@ -81,10 +81,12 @@ def test_a_duration_that_is_no_multiple_of_the_step_ends_with_a_shorter_one(scen
     np.testing.assert_allclose(np.diff(solution.times), DT * np.array([1.0] * 79 + [0.25]), rtol=1e-9)
 
 
-def test_restart_goes_on_as_if_nothing_had_happened(whole, scene):
+def test_restart_goes_on_as_if_nothing_had_happened(whole, scene, caplog):
     half = STEPS // 2
     first = js.simulate(scene, EMC, dt=DT, t_end=half * DT, save_every=2, newton=TIGHT)
-    second = js.simulate(scene, EMC, dt=DT, t_end=half * DT, save_every=2, restart=first, newton=TIGHT)
+    with jax.log_compiles(), caplog.at_level("WARNING", "jax"):
+        second = js.simulate(scene, EMC, dt=DT, t_end=half * DT, save_every=2, restart=first, newton=TIGHT)
+    assert "jit(with_memory)" in caplog.text and "jit(run)" not in caplog.text  # which the first compiled
     np.testing.assert_allclose(second.times, whole.times[half:], rtol=1e-13)
     close(second.watched["apex"], whole.watched["apex"][half:], 1e-10)
     close(second.energy.total, whole.energy.total[half:], 1e-10)
@@ -147,8 +149,10 @@ def test_results_go_to_disk_as_they_come(whole, scene, tmp_path):
 
 
 @pytest.mark.slow
-def test_chunks_of_any_length_make_the_same_run(whole, scene, monkeypatch):
-    """A chunk lasts about a second, however far apart the frames are: here one step at a time."""
+@pytest.mark.optimised
+def test_chunks_of_any_length_make_the_same_run(scene, monkeypatch):
+    """To the last bit. A chunk lasts about a second, however far apart the frames are: here one step at a time."""
+    whole = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, newton=TIGHT)
     monkeypatch.setattr("jaxshell.analyses.simulation._CHUNK_TIME", 0.0)
     found = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=10**9, newton=TIGHT)
     for name in ("times", "iterations", "watched", "energy"):

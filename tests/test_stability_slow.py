@@ -9,7 +9,7 @@ import pytest
 
 import jaxshell as js
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.optimised]
 
 
 def test_newmark_fails_on_the_violent_plate_where_others_survive(tmp_path, monkeypatch):

@@ -39,7 +39,11 @@ def error(found, expected) -> float:
     return float(np.max(np.abs(np.asarray(found) - expected)) / np.max(np.abs(expected)))
 
 
-@pytest.mark.parametrize("solver", SOLVERS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "solver",
+    [SOLVERS[0], *(pytest.param(kind, marks=pytest.mark.slow) for kind in SOLVERS[1:])],
+    ids=lambda kind: kind.__name__,
+)
 def test_statics(solver):
     def displacements(scene):
         run = js.solve_static(scene, [0.5, 1.0], linear_solver=available(solver))

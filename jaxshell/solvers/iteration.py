@@ -106,7 +106,7 @@ class Linear(NamedTuple):
             factorization=self.solver.initial_factorization(self.handle),
             values=jnp.zeros(kept),
             stale=jnp.array(True),
-            contraction=jnp.array(_FIRST_GUESS),
+            contraction=jnp.array(_FIRST_GUESS, float),  # not weakly typed: a restart's is not either
             hard=jnp.zeros((), jnp.int32),
         )
 
