@@ -97,14 +97,14 @@ def test_tangent_is_the_derivative_of_the_balance(method):
 
 def top(spin=40.0, tilt=0.3) -> tuple[js.Scene, np.ndarray]:
     """A heavy top on a fixed tip, tilted, and where its centre is after one second, by its own equations."""
-    m, l, J, g = 1.0, 0.5, np.diag([0.05, 0.05, 0.02]), 9.81
+    m, arm, J, g = 1.0, 0.5, np.diag([0.05, 0.05, 0.02]), 9.81
     R0 = Rotation.from_rotvec([0.0, tilt, 0.0]).as_matrix()
-    omega, centre = R0 @ [0.0, 0.0, spin], R0 @ [0.0, 0.0, l]
-    about_tip = J + m * l**2 * np.diag([1.0, 1.0, 0.0])
+    omega, centre = R0 @ [0.0, 0.0, spin], R0 @ [0.0, 0.0, arm]
+    about_tip = J + m * arm**2 * np.diag([1.0, 1.0, 0.0])
 
     def rates(_, y):
         R, Omega = y[:9].reshape(3, 3), y[9:]
-        moment = np.cross([0.0, 0.0, l], R.T @ [0.0, 0.0, -m * g])
+        moment = np.cross([0.0, 0.0, arm], R.T @ [0.0, 0.0, -m * g])
         turning = np.linalg.solve(about_tip, moment - np.cross(Omega, about_tip @ Omega))
         return np.concatenate([(R @ -np.cross(np.eye(3), Omega).T).ravel(), turning])
 
@@ -114,11 +114,11 @@ def top(spin=40.0, tilt=0.3) -> tuple[js.Scene, np.ndarray]:
     initial = js.Initial(
         velocities=np.stack([still, np.cross(omega, centre)]),
         angular_velocities=np.stack([omega, omega]),
-        displacements=np.stack([still, centre - [0.0, 0.0, l]]),
+        displacements=np.stack([still, centre - [0.0, 0.0, arm]]),
         rotations=np.stack([R0, R0]),
     )
     scene = js.Scene(
-        js.Mesh.of_points({"tip": (0.0, 0.0, 0.0), "centre": (0.0, 0.0, l)}),
+        js.Mesh.of_points({"tip": (0.0, 0.0, 0.0), "centre": (0.0, 0.0, arm)}),
         None,
         [js.Support("tip", ("ux", "uy", "uz"))],
         [js.Gravity((0.0, 0.0, -g))],
@@ -127,7 +127,7 @@ def top(spin=40.0, tilt=0.3) -> tuple[js.Scene, np.ndarray]:
         connectors=[js.RigidBody("centre", "tip")],
         watch={axis: ("centre", f"u{axis}") for axis in "xyz"},
     )
-    return scene, end @ [0.0, 0.0, l]
+    return scene, end @ [0.0, 0.0, arm]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,219 @@
+"""Joints by multipliers: they hold, do no work, keep momenta, and say what is wrong with them."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import jaxshell as js
+from jaxshell.model import generators
+
+PANEL = js.Section(thickness=2e-3, young_modulus=70e9, poisson_ratio=0.3, density=2700.0)
+
+
+def panels(count: int, gap: float = 0.0, divisions=(1, 1)) -> tuple[js.Mesh, int]:
+    """Plates of 0.2 × 0.1 in a row, each with nodes of its own, and how many those are."""
+    one = generators.rectangle(0.2, 0.1, divisions)
+    nodes = jnp.concatenate([one.nodes + jnp.array([(0.2 + gap) * k, 0.0, 0.0]) for k in range(count)])
+    triangles = np.concatenate([one.triangles + one.n_nodes * k for k in range(count)])
+    return js.Mesh(nodes, triangles, coincident="allow"), one.n_nodes
+
+
+def jointed(**changes) -> js.Scene:
+    """Four plates in flight: a hinge along an edge, a spherical joint with a bar across it, and a slider."""
+    mesh, n = panels(4)
+    connectors = [
+        js.Hinge(2, n, (0.0, 1.0, 0.0), name="hinge"),
+        js.Spherical(3, n + 1),
+        js.Spherical(n + 2, 2 * n),
+        js.RigidBar(n + 1, 2 * n + 1),
+        js.Slider(2 * n + 2, 3 * n, (1.0, 0.0, 0.0)),
+    ]
+    start = js.Initial.rigid(mesh, velocity=(1.0, 0.0, 2.0), angular_velocity=(20.0, 10.0, 5.0))
+    fold, nodes = jnp.array([0.0, 60.0, 0.0]), mesh.nodes[:n]
+    turning = jnp.cross(fold, nodes - jnp.array([0.2, 0.0, 0.0]))  # the first plate about the hinge
+    start = js.Initial(start.velocities.at[:n].add(turning), start.angular_velocities.at[:n].add(fold))
+    return js.Scene(mesh, PANEL, **({"initial": start, "connectors": connectors} | changes))
+
+
+def openings(solution) -> float:
+    """The largest by which any joint of `jointed` is open, in any frame."""
+    n = solution.scene.mesh.n_nodes // 4
+    x, R = solution.displacements + solution.scene.mesh.nodes, solution.rotations
+    axis, found = jnp.array([0.0, 1.0, 0.0]), []
+    for a, b in ((2, n), (3, n + 1), (n + 2, 2 * n)):
+        found.append(x[:, a] - x[:, b])
+    found.append(R[:, 2] @ axis - R[:, n] @ axis)
+    found.append(jnp.linalg.norm(x[:, n + 1] - x[:, 2 * n + 1], axis=1) - jnp.hypot(0.2, 0.0))
+    a, b = 2 * n + 2, 3 * n
+    found.append(jnp.einsum("fij,fi->fj", R[:, a], x[:, b] - x[:, a])[:, 1:])
+    found.append(R[:, a] - R[:, b])
+    return max(float(jnp.max(jnp.abs(gap))) for gap in found)
+
+
+def kept(solution) -> tuple[float, float, float]:
+    """The largest changes of energy, linear and angular momentum, relative."""
+    total = solution.energy.kinetic + solution.energy.strain
+    parts = [total[:, None], solution.momentum.linear, solution.momentum.angular]
+    return tuple(float(jnp.max(jnp.abs(p - p[0])) / jnp.linalg.norm(p[0])) for p in parts)
+
+
+def test_all_kinds_together_hold_do_no_work_and_keep_momenta():
+    solution = js.simulate(
+        jointed(), js.EnergyMomentum(), dt=5e-5, t_end=1e-2, save_every=10, newton=js.Newton(tolerance=1e-11)
+    )
+    changes, opened = kept(solution), openings(solution)
+    print(f"energy, momenta: {changes}; joints open by {opened:.1e}")
+    assert max(changes) < 1e-12 and opened < 1e-12
+    first, second = solution.rotations[-1, 2], solution.rotations[-1, 4]
+    assert np.degrees(Rotation.from_matrix(first.T @ second).magnitude()) > 10.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [1, 4])
+def test_over_ten_thousand_steps(factor):
+    solution = js.simulate(
+        jointed(), js.EnergyMomentum(), dt=factor * 2e-5, t_end=factor * 0.2, save_every=100,
+        newton=js.Newton(tolerance=1e-11),
+    )  # fmt: skip
+    changes, opened = kept(solution), openings(solution)
+    print(f"energy, momenta: {changes}; joints open by {opened:.1e}")
+    assert max(changes) < 1e-12 and opened < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "method", [js.GeneralizedEnergyMomentum(), js.GeneralizedAlpha(0.8)], ids=["emc", "generalised alpha"]
+)
+def test_other_methods_hold_them_and_agree_with_second_order(method):
+    fine = js.simulate(jointed(), js.EnergyMomentum(), dt=1e-5, t_end=4e-3, save_every=400).displacements[-1]
+    errors = []
+    for steps in (50, 100):
+        solution = js.simulate(jointed(), method, dt=4e-3 / steps, t_end=4e-3, save_every=steps)
+        assert openings(solution) < 1e-10
+        errors.append(float(jnp.max(jnp.abs(solution.displacements[-1] - fine))))
+    assert errors[1] < 0.35 * errors[0]
+
+
+def test_a_hinge_carries_no_moment():
+    """A beam of two parts, clamped at one end, on a roller at the other, hinged between: forces by hand."""
+    mesh, n = panels(2, divisions=(2, 1))
+    tip = np.array([2 * n - 2, 2 * n - 1])
+    hinges = [js.Hinge(n - 2, n, (0.0, 1.0, 0.0)), js.Spherical(n - 1, n + 1)]
+    middle = [n + 2, n + 3]
+    scene = js.Scene(
+        mesh,
+        PANEL,
+        [js.clamped([0, 1]), js.Support(tip, ("uz",)), js.Support(tip[:1], ("uy",))],
+        [js.NodalForce(middle, (0.0, 0.0, -1e-4))],
+        connectors=hinges,
+    )
+    solution = js.solve_static(scene, [1.0])
+    carried = js.reactions(solution)[-1]
+    # The second part is a simple beam with its load in the middle: half of it at the roller, half at the hinge.
+    np.testing.assert_allclose(jnp.sum(carried[tip, 2]), 1e-4, rtol=1e-6)
+    np.testing.assert_allclose(jnp.sum(carried[:2, 2]), 1e-4, rtol=1e-6)
+    np.testing.assert_allclose(jnp.sum(carried[:2, 4]), -1e-4 * 0.2, rtol=1e-6)
+
+
+def test_meshes_that_do_not_match_are_tied_as_one():
+    """A strip of two parts with one and three elements across, in constant tension: exact."""
+    left, right = generators.rectangle(0.1, 0.1, (1, 1)), generators.rectangle(0.1, 0.1, (1, 3))
+    n = left.n_nodes
+    nodes = jnp.concatenate([left.nodes, right.nodes + jnp.array([0.1, 0.0, 0.0])])
+    mesh = js.Mesh(nodes, np.concatenate([left.triangles, right.triangles + n]), coincident="allow")
+    seam = n + np.arange(4)
+    plain = js.Section(thickness=2e-3, young_modulus=70e9, poisson_ratio=0.0, density=2700.0)
+    ends = mesh.nodes_where(lambda x: x[0] > 0.199)
+    rim = np.stack([ends[:-1], ends[1:]], axis=1)
+    inner = [js.EdgeTie(seam[1:3], [[2, 3]]), js.Tie([2, 3], seam[[0, 3]])]
+    scene = js.Scene(
+        mesh,
+        plain,
+        [js.Support([0, 1], ("ux", "uz", "rx", "ry", "rz")), js.Support([0], ("uy",))],
+        [js.EdgeForce(rim, (1.4e3, 0.0, 0.0))],
+        connectors=inner,
+    )
+    found = js.solve_static(scene, [1.0]).displacements[-1]
+    np.testing.assert_allclose(found[:, 0], 1e-5 * np.asarray(nodes)[:, 0], atol=2e-11)
+
+
+def test_a_distributed_force_is_its_resultant():
+    mesh = generators.rectangle(0.2, 0.1, (2, 2))
+    rim = mesh.nodes_where(lambda x: x[0] > 0.199)
+    face = np.append(rim, mesh.nearest_node((0.1, 0.05, 0.0)))
+    force, moment = np.array([2e-4, 1e-4, 3e-4]), np.array([1e-5, -2e-5, 0.5e-5])
+    scene = js.Scene(
+        mesh,
+        PANEL,
+        [js.clamped(mesh.nodes_where(lambda x: x[0] < 1e-9))],
+        [js.NodalForce("grip", force), js.NodalMoment("grip", moment)],
+        connectors=[js.Distributed(face, (0.25, 0.05, 0.02), name="grip")],
+    )
+    carried = np.asarray(js.reactions(js.solve_static(scene, [1.0]))[-1])
+    x = np.asarray(scene.mesh.nodes)
+    np.testing.assert_allclose(carried[:, :3].sum(axis=0), -force, atol=1e-9 * 3e-4)
+    about = (np.cross(x - x[-1], carried[:, :3]) + carried[:, 3:]).sum(axis=0)
+    np.testing.assert_allclose(about, -moment, atol=2e-4 * 2e-5)
+
+
+def test_what_cannot_be_is_refused_by_name():
+    mesh, n = panels(2)
+
+    def run(*connectors, **more):
+        scene = js.Scene(mesh, PANEL, connectors=list(connectors), **more)
+        return js.simulate(scene, js.EnergyMomentum(), dt=1e-5, t_end=1e-5)
+
+    with pytest.raises(
+        ValueError, match=r"connector 0: A spherical joins nodes in one place, but 0 and 4 are 0\.2 apart"
+    ):
+        run(js.Spherical(0, n))
+    with pytest.raises(ValueError, match="hinge axis must have a length"):
+        js.Hinge(2, n, (0.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="A rigid bar between nodes 2 and 4 has no length"):
+        run(js.RigidBar(2, n))
+    with pytest.raises(ValueError, match="joins nodes one by one, but a has 2 and b 1"):
+        run(js.Spherical([2, 3], [n]))
+    with pytest.raises(ValueError, match="has all of rx, ry, rz or none"):
+        js.Tie(2, n, ("ux", "rx"))
+    with pytest.raises(ValueError, match="Nodes on a line hold no rotation"):
+        run(js.Distributed([0, 1], (0.0, 0.0, 1.0)))
+    door = [js.RigidBody(np.arange(n)), js.RigidBody(n + np.arange(n))]
+    axis = (0.0, 1.0, 0.0)
+    with pytest.raises(ValueError, match=r"5 of the 10 conditions of the joints repeat .* hinge 'lower'"):
+        run(*door, js.Hinge(2, n, axis), js.Hinge(3, n + 1, axis, name="lower"))
+    turning = js.Initial(angular_velocities=np.repeat([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], n, axis=0))
+    with pytest.raises(ValueError, match=r"The initial velocities open connector 0 \(hinge\)"):
+        run(js.Hinge(2, n, axis), initial=turning)
+    with pytest.raises(ValueError, match="solves no equations, which joints need"):
+        scene = js.Scene(mesh, PANEL, connectors=[js.Spherical(2, n)])
+        js.simulate(scene, js.CentralDifference(), dt=1e-8, t_end=1e-7)
+
+
+@pytest.mark.slow
+def test_gradients_by_axis_and_place():
+    scene = jointed()
+    hinge = scene.connectors[0]
+
+    def measured(tilt, size):
+        turned = js.Hinge(hinge.a.array, hinge.b.array, jnp.stack([0.1 * tilt, jnp.cos(tilt), jnp.sin(tilt)]))
+        mesh = dataclasses.replace(scene.mesh, nodes=size * scene.mesh.nodes)
+        made = dataclasses.replace(
+            scene, mesh=mesh, connectors=[turned, js.Spherical(6, 8)],
+            initial=js.Initial.rigid(mesh, velocity=(1.0, 0.0, 2.0), angular_velocity=(20.0, 10.0, 5.0)),
+        )  # fmt: skip
+        load = js.NodalForce([0], (0.0, 0.0, 5.0))
+        made = dataclasses.replace(made, loads=[load])
+        run = js.simulate(made, js.EnergyMomentum(), dt=5e-5, t_end=1e-3, newton=js.Newton(tolerance=1e-12))
+        return jnp.sum(run.displacements[-1, 0] * jnp.array([1.0, 2.0, 3.0]))
+
+    at = (0.2, 1.1)
+    backward = jax.grad(measured, argnums=(0, 1))(*at)
+    for k in range(2):
+        _, forward = jax.jvp(measured, at, tuple(float(k == i) for i in range(2)))
+        np.testing.assert_allclose(backward[k], forward, rtol=1e-10)
+        up, down = (measured(*[a + s * 1e-5 * (k == i) for i, a in enumerate(at)]) for s in (1, -1))
+        np.testing.assert_allclose(forward, (up - down) / 2e-5, rtol=1e-6)
