@@ -222,7 +222,7 @@ def _advance(model: Model, plan: Plan, state: StaticState, previous, length):
     begun, u = _STATIC.begin(model, state, end.increment), step.increments(end.free, end.increment)
     before = state
     state = _STATIC.finish(model, state, end.increment, u, _STATIC.motion(state, u), begun)
-    record = program.record(model, plan, state, None, end.iterations, end.iterations, jnp.array(True))
+    record = program.record(model, plan, before, state, None, end.iterations, end.iterations, jnp.array(True))
     weakest, _ = critical(model, plan.solvers, before, state, None)
     return state, u[:, :3], result, record, program.frame(model, state), weakest
 

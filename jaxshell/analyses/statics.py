@@ -81,13 +81,15 @@ def proportional(scene: Scene) -> Scene:
             for support in scene.supports
         ]
         scene = dataclasses.replace(scene, supports=still)
-    loads = range(len(scene.loads))
+    loads, items = range(len(scene.loads)), range(len(scene.connectors) + len(scene.obstacles))
+    driven = [i for i in items if getattr(scene.items[i], "history", None) is not None]
     moving = [i for i, support in enumerate(scene.supports) if support.moves]
 
     def histories(scene):
-        return [scene.loads[i].history for i in loads] + [scene.supports[i].history for i in moving]
+        given = [scene.loads[i].history for i in loads] + [scene.supports[i].history for i in moving]
+        return given + [scene.items[i].history for i in driven]
 
-    return eqx.tree_at(histories, scene, [LoadFactor() for _ in (*loads, *moving)])
+    return eqx.tree_at(histories, scene, [LoadFactor() for _ in (*loads, *moving, *driven)])
 
 
 def solve_static(

@@ -47,6 +47,9 @@ def described_scene(scene: Scene) -> Iterator[str]:
     yield from _loads(scene)
     yield from _initial(scene)
     for label, number, component in scene.watch:
+        if isinstance(number, str):
+            yield entry("watched", f"{label}: {component} of {number!r}")
+            continue
         kind = "node" if gauge_of(component) is None else "element"
         yield entry("watched", f"{label}: {component} of {kind} {number} at {_place(scene, kind, number)}")
 

@@ -195,6 +195,8 @@ def _draw_watched(panel: Axes, scene: Scene, view: View) -> list[Line2D]:
     nodes, triangles = np.asarray(scene.mesh.nodes), scene.mesh.triangles
     places = {}
     for label, number, component in scene.watch:
+        if isinstance(number, str):
+            continue
         at = nodes[number] if component in _OF_NODES else nodes[triangles[number]].mean(axis=0)
         places.setdefault(tuple(at), []).append(label)
     drawn = []
