@@ -89,7 +89,8 @@ def solve_arc_length(
     check_positive("max_load_factor", max_load_factor)
     if not isinstance(steps, int | np.integer) or steps < 1:
         raise ValueError(f"steps must be a whole number of at least 1, but it is {steps!r}.")
-    if not scene.loads and not any(support.moves_with_load for support in scene.supports):
+    moved = any(getattr(item, "history", None) is not None for item in scene.items)
+    if not scene.loads and not moved and not any(support.moves_with_load for support in scene.supports):
         raise ValueError(_NO_PATH)
     if is_traced(scene, newton, arc_length):
         raise ValueError("solve_arc_length chooses its steps as it goes and cannot be traced: use solve_static.")

@@ -30,6 +30,11 @@ class Item(OfSets):
     def check(self, mesh: Mesh) -> None:
         """Raise ValueError where it does not fit the mesh; called when the scene is made."""
 
+    def holds(self, mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray]]:
+        """What motions it resists by an energy, without which statics has no answer: nodes (c,) of a group, and rows
+        (r, 6c) by their velocities and spins. None where that is not sure. Called of concrete items only."""
+        return []
+
     def quantities(self) -> tuple[str, ...]:
         """What of it can be watched: what its parts measure."""
         return tuple(dict.fromkeys(word for part in self.parts() for word in part.quantities()))

@@ -62,6 +62,13 @@ class ElasticSupport(Connector):
     def check(self, mesh: Mesh) -> None:
         check_on_mesh("nodes", "node", self.nodes.array, mesh.n_nodes)
 
+    def holds(self, mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The directions that are stiff."""
+        stiff = np.broadcast_to(np.asarray(self.stiffness) > 0, (len(self.nodes.array), 3))
+        return [
+            (np.array([n]), np.eye(6)[:3][held]) for n, held in zip(self.nodes.array, stiff, strict=True) if held.any()
+        ]
+
     def parts(self) -> tuple[Contribution, ...]:
         return (Held(self.nodes, self.stiffness, self.motion, self.history),)
 

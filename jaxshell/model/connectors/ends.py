@@ -1,7 +1,7 @@
 """The ends of what joins two places: nodes, and nodes or points of space."""
 
 import dataclasses
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -75,6 +75,8 @@ def _is_whole(given: Any) -> bool:
 class Link(Connector):
     """What joins nodes `a` with as many nodes or points `b`, one by one."""
 
+    sets: ClassVar[dict[str, str]] = {"a": "node", "b": "node"}
+
     a: eqx.AbstractVar[Nodes]
     b: eqx.AbstractVar[End]
 
@@ -128,6 +130,11 @@ class Link(Connector):
         x = np.asarray(mesh.nodes)
         second = x[self.b.nodes.array] if isinstance(self.b, Nodes) else np.asarray(points)
         return np.linalg.norm(second - x[self.a.nodes.array], axis=1)
+
+    def against(self, rows: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """`holds` of groups whose ends b do something, (k, 6), by their velocity and spin, and ends a the opposite."""
+        both = np.concatenate([-rows, rows], axis=1) if self.nodes.array.shape[1] == 2 else rows
+        return [(group, row[None]) for group, row in zip(self.nodes.array, both, strict=True) if row.any()]
 
     @property
     def count(self) -> int | None:

@@ -91,6 +91,21 @@ class Spring(Link):
                 "no direction: give length=0.0 for one that pulls them together, or move an end."
             )
 
+    def holds(self, mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The motion along each spring that is stiff, and taut where it is a cable."""
+        x, first = np.asarray(mesh.nodes), self.nodes.array[:, 0]
+        second = x[self.nodes.array[:, 1]] if self.points is None else np.asarray(self.points)
+        r = second - x[first]
+        distances = np.linalg.norm(r, axis=1)
+        length = distances if self.length is None else np.asarray(self.length)
+        stiff = np.asarray(self.stiffness) > 0
+        if self.tension_only:
+            stiff = stiff & (distances > length)
+        if np.any(np.broadcast_to(length == 0, distances.shape) & (distances == 0)):
+            return []  # of no direction, and all
+        along = np.where(stiff, 1.0, 0.0)[..., None] * r / np.where(distances > 0, distances, 1.0)[:, None]
+        return self.against(np.concatenate([along, np.zeros_like(along)], axis=1))
+
     def parts(self) -> tuple[Contribution, ...]:
         return (
             Pull(self.nodes, self.points, self.stiffness, self.length, self.tension_only, self.motion, self.history),

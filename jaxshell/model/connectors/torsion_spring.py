@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from jaxshell.model.connectors.ends import Link, Nodes, Space, check_each, check_shape_of_each, nodes_of
 from jaxshell.model.connectors.torsion import LIMIT, TorsionDamping, TorsionStiffness
 from jaxshell.model.contribution import Contribution
+from jaxshell.model.mesh import Mesh
 from jaxshell.numerics.checks import check_finite, float_array, is_concrete
 
 
@@ -17,7 +18,7 @@ class TorsionSpring(Link):
 
     Arguments:
         a: a node, a list of nodes, or the name of a set of them; the axis turns with it.
-        b: as many nodes, joined with those of `a` one by one; None is space: `a` turns against that.
+        b: as many nodes, joined with those of `a` one by one; None or "space" is space: `a` turns against that.
         axis: (3,) or (k, 3) in global components where nothing has turned; of any length. Differentiable.
         stiffness: k [force·length/rad], one value or one for each. Differentiable.
         angle: φ₀ [rad] without moment, within 3.1 to either side, one value or one for each. Differentiable.
@@ -45,7 +46,8 @@ class TorsionSpring(Link):
 
     def __init__(self, a, b, axis, stiffness, angle=0.0, damping=None, name: str | None = None):
         self.a = nodes_of("a", a)
-        self.b = b if isinstance(b, Space) else Space() if b is None else nodes_of("b", b)
+        in_space = b is None or isinstance(b, Space) or (isinstance(b, str) and b == "space")
+        self.b = Space() if in_space else nodes_of("b", b)
         self.axis = float_array(axis, "axis")
         self.stiffness, self.angle = float_array(stiffness, "stiffness"), float_array(angle, "angle")
         self.damping = None if damping is None else float_array(damping, "damping")
@@ -60,6 +62,12 @@ class TorsionSpring(Link):
         check_finite("angle", self.angle)
         if is_concrete(self.angle) and np.any(np.abs(np.asarray(self.angle)) > LIMIT):
             raise ValueError(f"angle must lie within {LIMIT} rad to either side, but it is {np.asarray(self.angle)}.")
+
+    def holds(self, mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The twist about each axis that is stiff."""
+        axis = np.broadcast_to(np.asarray(self.axis), (len(self.a.nodes.array), 3))
+        turns = axis / np.linalg.norm(axis, axis=1, keepdims=True) * (np.asarray(self.stiffness) > 0)[..., None]
+        return self.against(np.concatenate([np.zeros_like(turns), turns], axis=1))
 
     def parts(self) -> tuple[Contribution, ...]:
         axis = jnp.broadcast_to(self.axis, (len(self.a.nodes.array), 3))
