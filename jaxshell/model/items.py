@@ -35,6 +35,10 @@ class Item(OfSets):
         (r, 6c) by their velocities and spins. None where that is not sure. Called of concrete items only."""
         return []
 
+    def segments(self, mesh: Mesh) -> np.ndarray:
+        """(k, 2, 3) lines from end to end by which pictures show it; one of no length marks a node."""
+        return np.zeros((0, 2, 3))
+
     def quantities(self) -> tuple[str, ...]:
         """What of it can be watched: what its parts measure."""
         return tuple(dict.fromkeys(word for part in self.parts() for word in part.quantities()))

@@ -138,7 +138,8 @@ def _read_object(group) -> Any:
             fields[name] = _read_item(item)
     if kind is Mesh:  # as it was when it was stored
         nodes, triangles = fields.pop("nodes"), fields.pop("connectivity")
-        return Mesh(nodes, triangles, coincident="allow", **fields)
+        points = int(fields.pop("points", 0))
+        return Mesh(nodes, triangles, coincident="allow", points=points, **fields)
     return kind(**fields)
 
 

@@ -69,6 +69,9 @@ class ElasticSupport(Connector):
             (np.array([n]), np.eye(6)[:3][held]) for n, held in zip(self.nodes.array, stiff, strict=True) if held.any()
         ]
 
+    def segments(self, mesh: Mesh) -> np.ndarray:
+        return np.repeat(np.asarray(mesh.nodes)[self.nodes.array][:, None], 2, axis=1)
+
     def parts(self) -> tuple[Contribution, ...]:
         return (Held(self.nodes, self.stiffness, self.motion, self.history),)
 

@@ -131,6 +131,11 @@ class Link(Connector):
         second = x[self.b.nodes.array] if isinstance(self.b, Nodes) else np.asarray(points)
         return np.linalg.norm(second - x[self.a.nodes.array], axis=1)
 
+    def segments(self, mesh: Mesh) -> np.ndarray:
+        x = np.asarray(mesh.nodes)[self.nodes.array]
+        ends = x[:, -1] if self.points is None else np.asarray(self.points)
+        return np.stack([x[:, 0], ends], axis=1)
+
     def against(self, rows: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """`holds` of groups whose ends b do something, (k, 6), by their velocity and spin, and ends a the opposite."""
         both = np.concatenate([-rows, rows], axis=1) if self.nodes.array.shape[1] == 2 else rows
