@@ -27,7 +27,20 @@ if TYPE_CHECKING:
         GeneralizedEnergyMomentum,
         Newmark,
     )
-    from jaxshell.model.connectors import Dashpot, Distributed, EdgeTie, ElasticSupport, Hinge, RigidBar, RigidBody, Slider, Spherical, Spring, Tie, TorsionSpring
+    from jaxshell.model.connectors import (
+        Dashpot,
+        Distributed,
+        EdgeTie,
+        ElasticSupport,
+        Hinge,
+        RigidBar,
+        RigidBody,
+        Slider,
+        Spherical,
+        Spring,
+        Tie,
+        TorsionSpring,
+    )
     from jaxshell.model.damping import RayleighDamping
     from jaxshell.model.loads import (
         EdgeForce,
@@ -226,7 +239,20 @@ _HOMES = {
     "analyses.step_control": ["StepControl"],
     "analyses.sweep.run": ["sweep"],
     "model.masses": ["PointMass"],
-    "model.connectors": ["Dashpot", "Distributed", "EdgeTie", "ElasticSupport", "Hinge", "RigidBar", "RigidBody", "Slider", "Spherical", "Spring", "Tie", "TorsionSpring"],
+    "model.connectors": [
+        "Dashpot",
+        "Distributed",
+        "EdgeTie",
+        "ElasticSupport",
+        "Hinge",
+        "RigidBar",
+        "RigidBody",
+        "Slider",
+        "Spherical",
+        "Spring",
+        "Tie",
+        "TorsionSpring",
+    ],
     "model.supports": ["Support", "clamped", "pinned", "symmetry"],
 }
 """The public names by their modules. A package's own name stands for the package."""

@@ -81,13 +81,14 @@ def proportional(scene: Scene) -> Scene:
             for support in scene.supports
         ]
         scene = dataclasses.replace(scene, supports=still)
-    loads, items = range(len(scene.loads)), range(len(scene.connectors) + len(scene.obstacles))
-    driven = [i for i in items if getattr(scene.items[i], "history", None) is not None]
+    loads, names = range(len(scene.loads)), ("connectors", "obstacles")
+    items = [(name, i) for name in names for i in range(len(getattr(scene, name)))]
+    driven = [(name, i) for name, i in items if getattr(getattr(scene, name)[i], "history", None) is not None]
     moving = [i for i, support in enumerate(scene.supports) if support.moves]
 
     def histories(scene):
         given = [scene.loads[i].history for i in loads] + [scene.supports[i].history for i in moving]
-        return given + [scene.items[i].history for i in driven]
+        return given + [getattr(scene, name)[i].history for name, i in driven]
 
     return eqx.tree_at(histories, scene, [LoadFactor() for _ in (*loads, *moving, *driven)])
 

@@ -66,8 +66,8 @@ class _Part:
         self.centre = nodes[members].mean(axis=0)
         self.size = float(np.linalg.norm(np.ptp(nodes[members], axis=0))) or 1.0  # of a single node any
 
-    def motion_of(self, node: int) -> np.ndarray:
-        """(6, 6) velocity and spin·size of a node, by rows, under the part's motions."""
+    def motion_of(self, node) -> np.ndarray:
+        """(6, 6) velocity and spin·size of a node, a number, by rows, under the part's motions."""
         arm = (self.nodes[node] - self.centre) / self.size
         found = np.eye(6)
         found[:3, 3:] = np.cross(np.eye(3), arm).T  # column j: ω_j × arm
@@ -92,7 +92,7 @@ def _joining(holds, nodes: np.ndarray, part: np.ndarray, places: list[_Part]):
         for position, node in enumerate(group):
             k, own = part[node], rows[:, 6 * position : 6 * position + 6].copy()
             own[:, 3:] /= places[k].size
-            total[:, 6 * k : 6 * k + 6] += own @ places[k].motion_of(int(node))
+            total[:, 6 * k : 6 * k + 6] += own @ places[k].motion_of(node)
         yield total
 
 

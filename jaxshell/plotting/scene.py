@@ -155,7 +155,7 @@ def _draw_items(panel: Axes, scene: Scene, view: View) -> list[Line2D]:
         }
         for segment in _some(segments, _MOST_SYMBOLS):
             at = view.project(segment)
-            (line,) = panel.plot(at[:, 0], at[:, 1], zorder=4, **style)
+            (line,) = panel.plot(at[:, 0], at[:, 1], **style)
         name = "" if item.name is None else f" {plain(item.name)}"
         line.set_label(f"{item.kind}{name}: {len(segments)}")
         drawn.append(line)
