@@ -52,7 +52,7 @@ def moved(part, scale: float, seed: int = 0):
     rng = np.random.default_rng(seed)
     count = part.groups(MESH.triangles).array.shape[1]
     x0 = jnp.array([[0.0, 0.0, 0.0], [0.9, 0.3, -0.2]])
-    surface = Surface(x0, jnp.zeros((0, 3), int), jnp.zeros(0), jnp.zeros(0), jnp.zeros((0, 3)))
+    surface = Surface(x0, jnp.zeros((0, 3), int), jnp.zeros(0), jnp.zeros(0), jnp.zeros((0, 3)), jnp.ones(()))
     data = jax.tree.map(lambda a: a[0], part.data(surface))
     x = x0[2 - count :] + 0.3 * rng.normal(size=(count, 3))
     R = jax.vmap(exp)(jnp.asarray(0.3 * rng.normal(size=(count, 3))))

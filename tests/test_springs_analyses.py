@@ -60,6 +60,15 @@ def test_parts_that_springs_join_are_held_by_each_other():
     assert free_motions(join, across, mesh=both).count("translation") >= 3
 
 
+def test_joints_hold_parts_too():
+    nodes = np.concatenate([SQUARE.nodes, SQUARE.nodes + np.array([1.0, 0.0, 0.0])])
+    panels = js.Mesh(nodes, np.concatenate([SQUARE.triangles, SQUARE.triangles + 4]), coincident="allow")
+    hinge, clamped = js.Hinge([1], [4], (0, 1, 0)), [js.clamped([0, 3])]
+    left = free_motions(hinge, mesh=panels, supports=clamped)
+    assert left.startswith("rotation about the axis (0, 1, 0) through (1, 0, 0). Hold")
+    check_supported(held_by(hinge, js.TorsionSpring(1, 4, (0, 1, 0), 1.0), mesh=panels, supports=clamped))
+
+
 def test_bad_input_is_named():
     for make, words in (
         (lambda: js.Spring(0, 0, 1.0), "node 0 with itself"),
@@ -104,6 +113,7 @@ def test_a_plate_on_springs_heaves_with_the_frequency_of_a_mass_on_them():
         assert np.min(np.abs(np.asarray(found) / exact - 1.0)) < 1e-5
 
 
+@pytest.mark.slow
 def test_statics_of_springs_is_that_of_closed_form():
     ramp = js.History.ramp(1.0)
     springs = [

@@ -93,7 +93,8 @@ def _joining(holds, nodes: np.ndarray, part: np.ndarray, places: list[_Part]):
             k, own = part[node], rows[:, 6 * position : 6 * position + 6].copy()
             own[:, 3:] /= places[k].size
             total[:, 6 * k : 6 * k + 6] += own @ places[k].motion_of(node)
-        yield total
+        sizes = np.linalg.norm(total, axis=1)
+        yield total[sizes > 0] / sizes[sizes > 0][:, None]
 
 
 def _null(rows: np.ndarray) -> np.ndarray:

@@ -63,6 +63,10 @@ class TorsionSpring(Link):
         if is_concrete(self.angle) and np.any(np.abs(np.asarray(self.angle)) > LIMIT):
             raise ValueError(f"angle must lie within {LIMIT} rad to either side, but it is {np.asarray(self.angle)}.")
 
+    @property
+    def turning(self) -> np.ndarray:
+        return self.nodes.array.ravel()
+
     def holds(self, mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray]]:
         """The twist about each axis that is stiff."""
         axis = np.broadcast_to(np.asarray(self.axis), (len(self.a.nodes.array), 3))
