@@ -27,7 +27,20 @@ if TYPE_CHECKING:
         GeneralizedEnergyMomentum,
         Newmark,
     )
-    from jaxshell.model.connectors import Distributed, EdgeTie, Hinge, RigidBar, RigidBody, Slider, Spherical, Tie
+    from jaxshell.model.connectors import (
+        Dashpot,
+        Distributed,
+        EdgeTie,
+        ElasticSupport,
+        Hinge,
+        RigidBar,
+        RigidBody,
+        Slider,
+        Spherical,
+        Spring,
+        Tie,
+        TorsionSpring,
+    )
     from jaxshell.model.damping import RayleighDamping
     from jaxshell.model.loads import (
         EdgeForce,
@@ -78,10 +91,12 @@ __all__ = [
     "CentralDifference",
     "Checkpointed",
     "Cylindrical",
+    "Dashpot",
     "Dense",
     "Distributed",
     "EdgeForce",
     "EdgeTie",
+    "ElasticSupport",
     "Energy",
     "EnergyMomentum",
     "GeneralSection",
@@ -120,6 +135,7 @@ __all__ = [
     "Slider",
     "Solution",
     "Spherical",
+    "Spring",
     "StepControl",
     "Stored",
     "Strengths",
@@ -127,6 +143,7 @@ __all__ = [
     "Sweep",
     "Thermal",
     "Tie",
+    "TorsionSpring",
     "VTKHDFWriter",
     "clamped",
     "failure_index",
@@ -222,7 +239,20 @@ _HOMES = {
     "analyses.step_control": ["StepControl"],
     "analyses.sweep.run": ["sweep"],
     "model.masses": ["PointMass"],
-    "model.connectors": ["Distributed", "EdgeTie", "Hinge", "RigidBar", "RigidBody", "Slider", "Spherical", "Tie"],
+    "model.connectors": [
+        "Dashpot",
+        "Distributed",
+        "EdgeTie",
+        "ElasticSupport",
+        "Hinge",
+        "RigidBar",
+        "RigidBody",
+        "Slider",
+        "Spherical",
+        "Spring",
+        "Tie",
+        "TorsionSpring",
+    ],
     "model.supports": ["Support", "clamped", "pinned", "symmetry"],
 }
 """The public names by their modules. A package's own name stands for the package."""

@@ -18,6 +18,7 @@ from test_scene_file import BASE, read  # noqa: E402
 from jaxshell.command import check, completion, init, plot, run, schema  # noqa: E402
 from jaxshell.files import scene_file, sections  # noqa: E402
 from jaxshell.files.initial import MOTION  # noqa: E402
+from jaxshell.files.items import ITEM_KINDS  # noqa: E402
 from jaxshell.files.run_keys import ANALYSES, KEYS  # noqa: E402
 from jaxshell.files.selectors import NODE_SELECTORS  # noqa: E402
 from jaxshell.methods import EnergyMomentum  # noqa: E402
@@ -40,6 +41,7 @@ def test_the_page_names_every_key():
     keys = {*KEYS, *NODE_SELECTORS, *MOTION, *scene_file.READING, *scene_file.SETS, "edges", "inner", "elements"}
     keys |= arguments(*GENERATORS.values(), *kinds, Ply, Laminate.from_layup, Thermal, InitialStrain, RayleighDamping)
     keys |= {load.value for load in scene_file.LOAD_KINDS.values()} | {"ratios", "modes", "frequencies", "hold"}
+    keys |= {"point", *(key for kinds in ITEM_KINDS.values() for key in arguments(*kinds.values()))}
     absent = {key for key in keys if f"`{key}`" not in PAGE and f"`{key} " not in PAGE}
     absent -= {key for key in ("angle", "axis", "origin", "along", "times", "values") if f"{key}," in PAGE}
     assert not absent
@@ -48,6 +50,7 @@ def test_the_page_names_every_key():
 
 def test_the_page_names_every_kind():
     kinds = [*GENERATORS, *scene_file.LOAD_KINDS, *sections.SECTION_KINDS, *sections.MATERIAL_KINDS, *scene_file.HOLD]
+    kinds += [kind for items in ITEM_KINDS.values() for kind in items]
     assert not [kind for kind in (*kinds, *ANALYSES) if f'"{kind}"' not in PAGE]
     assert not [table for table in scene_file.KNOWN if f"[{table}" not in PAGE and f"`{table}`" not in PAGE]
 

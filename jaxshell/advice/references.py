@@ -49,13 +49,14 @@ def signals(scene: Scene, displacements: Float[np.ndarray, "k n 3"]) -> Signals:
         weights = nodal_weights(scene)
         x0 = np.asarray(scene.mesh.nodes)
         centre = weights @ displacements
-        tip = scene.watch[0][1]
+        tip = int(scene.watch[0][1])
         return {
             "centre": centre,
             ORIENTATION: orientations(x0, x0 + displacements, weights),
             "tip": displacements[:, tip],
         }
-    watched = [(label, node, "xyz".index(c[1])) for label, node, c in scene.watch if c[0] == "u"]
+    nodes = [(label, node, c) for label, node, c in scene.watch if isinstance(node, int)]
+    watched = [(label, node, "xyz".index(c[1])) for label, node, c in nodes if c[0] == "u"]
     if watched:
         return {label: displacements[:, node, axis, None] for label, node, axis in watched}
     return {"displacements": displacements.reshape(len(displacements), -1)}

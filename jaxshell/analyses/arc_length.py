@@ -89,7 +89,8 @@ def solve_arc_length(
     check_positive("max_load_factor", max_load_factor)
     if not isinstance(steps, int | np.integer) or steps < 1:
         raise ValueError(f"steps must be a whole number of at least 1, but it is {steps!r}.")
-    if not scene.loads and not any(support.moves_with_load for support in scene.supports):
+    moved = any(getattr(item, "history", None) is not None for item in scene.items)
+    if not scene.loads and not moved and not any(support.moves_with_load for support in scene.supports):
         raise ValueError(_NO_PATH)
     if is_traced(scene, newton, arc_length):
         raise ValueError("solve_arc_length chooses its steps as it goes and cannot be traced: use solve_static.")
@@ -222,7 +223,7 @@ def _advance(model: Model, plan: Plan, state: StaticState, previous, length):
     begun, u = _STATIC.begin(model, state, end.increment), step.increments(end.free, end.increment)
     before = state
     state = _STATIC.finish(model, state, end.increment, u, _STATIC.motion(state, u), begun)
-    record = program.record(model, plan, state, None, end.iterations, end.iterations, jnp.array(True))
+    record = program.record(model, plan, before, state, None, end.iterations, end.iterations, jnp.array(True))
     weakest, _ = critical(model, plan.solvers, before, state, None)
     return state, u[:, :3], result, record, program.frame(model, state), weakest
 

@@ -98,7 +98,7 @@ def _advance(model: Model, plan: Plan, state: StaticState, memory, step, end):
     state, info, memory = plan.method.step(model, before, step, plan.solvers, memory)
     state = eqx.tree_at(lambda s: s.time, state, end)
     weakest, memory = critical(model, plan.solvers, before, state, memory)
-    record = program.record(model, plan, state, None, info.iterations, info.factorizations, jnp.array(True))
+    record = program.record(model, plan, before, state, None, info.iterations, info.factorizations, jnp.array(True))
     return state, memory, info.result, record, program.frame(model, state), weakest
 
 

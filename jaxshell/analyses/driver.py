@@ -113,9 +113,18 @@ def resumed(model, plan: Plan, carry: Carry, record: Record, frame: Frame, resta
     record, frame = program.first(model, plan, carry.state)
     if plan.reactions and restart.reaction is not None:
         record = record._replace(reaction=jnp.asarray(restart.reaction[-1]))
+    record = record._replace(watched=_as_read(plan, record.watched, restart))
     if restart.newton is not None and carry.memory is not None:
         carry = _remembering(plan, carry, restart.newton)
     return carry, record, frame, float(carry.state.time)
+
+
+def _as_read(plan: Plan, values, restart: Solution):
+    """What is watched at the start of a run that goes on; of connectors and obstacles as the last step had it."""
+    for i, (label, number, _) in enumerate(plan.watch):
+        if isinstance(number, str) and label in restart.watched:
+            values = values.at[i].set(restart.watched[label][-1])
+    return values
 
 
 def kept_by_newton(carry: Carry):

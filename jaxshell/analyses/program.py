@@ -57,7 +57,7 @@ class Plan(NamedTuple):
 
     method: Method
     solvers: Solvers
-    watch: tuple[tuple[str, int, str], ...]
+    watch: tuple[tuple[str, int | str, str], ...]
     save_every: int
     reactions: bool = False
 
@@ -77,7 +77,7 @@ def first(model: Model, plan: Plan, state):
     """Record and frame of the state at the start; no balance has been solved, and no reaction is known."""
     zero = jnp.zeros((), jnp.int32)
     reaction = jnp.full(model.tables.supported, jnp.nan) if plan.reactions else None
-    return record(model, plan, state, reaction, zero, zero, jnp.array(True)), frame(model, state)
+    return record(model, plan, state, state, reaction, zero, zero, jnp.array(True)), frame(model, state)
 
 
 def empty(shapes):
@@ -101,7 +101,7 @@ def run(model: Model, plan: Plan, carry: Carry, steps):
             state = eqx.tree_at(lambda s: s.time, state, end)
             good = info.result == SUCCESSFUL
             state = jax.tree.map(lambda new, old: jnp.where(good, new, old), state, carry.state)
-            recorded = record(model, plan, state, reaction, info.iterations, info.factorizations, good)
+            recorded = record(model, plan, carry.state, state, reaction, info.iterations, info.factorizations, good)
             return Carry(state, memory, info.result.astype(jnp.int32)), recorded
 
         def skip():
@@ -128,16 +128,27 @@ def carried(model: Model, plan: Plan, before, after, dt) -> Float[Array, " nh"] 
     return plan.method.unbalanced(model, before, after, dt).reshape(-1)[held]
 
 
-def record(model: Model, plan: Plan, state, reaction, iterations, factorizations, done) -> Record:
-    """What is kept of the step that led to `state`."""
-    gauges = iter(model.gauges)
-    values = [
-        watched(model, state, number, component) if component in WATCHABLE else read(model, state, next(gauges))
-        for _, number, component in plan.watch
-    ]
+def record(model: Model, plan: Plan, before, state, reaction, iterations, factorizations, done) -> Record:
+    """What is kept of the step that led from `before` to `state`."""
+    gauges, readings = iter(model.gauges), iter(model.readings)
+
+    def value(number, component):
+        if isinstance(number, str):
+            ends = _place(model, before), _place(model, state)
+            return next(readings).read(model.contributions, *ends, plan.method)
+        if component in WATCHABLE:
+            return watched(model, state, number, component)
+        return read(model, state, next(gauges))
+
+    values = [value(number, component) for _, number, component in plan.watch]
     values = jnp.stack(values) if values else jnp.zeros(0)
     observed = plan.method.observe(model, state)
     return Record(state.time, values, observed, iterations, factorizations, done, reaction)
+
+
+def _place(model: Model, state: State) -> tuple[Any, Any, Any]:
+    """Positions, rotations and time of a state."""
+    return model.x0 + state.displacements(model.x0), state.R, state.time
 
 
 def watched(model: Model, state: State, node: int, component: str):
@@ -181,7 +192,7 @@ def run_whole(model: Model, plan: Plan, gradients: Gradients, carry, steps):
         # As a factor, so that what is differentiated through a failure is NaN too.
         factor = jnp.where(good, 1.0, jnp.nan)
         state = jax.tree.map(lambda a: a * factor if jnp.issubdtype(a.dtype, jnp.inexact) else a, state)
-        recorded = record(model, plan, state, reaction, info.iterations, info.factorizations, good)
+        recorded = record(model, plan, carry.state, state, reaction, info.iterations, info.factorizations, good)
         return Carry(state, memory, result), recorded
 
     return scan_steps(gradients, one, lambda carry: frame(model, carry.state), carry, steps, plan.save_every)
@@ -235,7 +246,7 @@ def try_steps(
             small = ~accepted & (after.dt < control.smallest)
             failure = jnp.where(solved, STEP_TOO_SMALL, info.result).astype(jnp.int32)
             result = jnp.where(small, failure, SUCCESSFUL)
-            recorded = record(model, plan, state, reaction, info.iterations, info.factorizations, accepted)
+            recorded = record(model, plan, carry.state, state, reaction, info.iterations, info.factorizations, accepted)
             return Attempts(Carry(state, memory, result), after), (recorded, frame(model, state))
 
         def skip():

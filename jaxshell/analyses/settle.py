@@ -198,7 +198,7 @@ def _advance(model: Model, plan: Plan, state: SettlingState, memory, step):
     balance = _STATIC.balance(model, state, begun, jnp.zeros_like(state.velocities))
     carried = balance.residual.reshape(-1)[model.tables.held]
     record = program.record(
-        model, plan, state, carried, info.iterations, info.factorizations, info.result == SUCCESSFUL
+        model, plan, before, state, carried, info.iterations, info.factorizations, info.result == SUCCESSFUL
     )
     free = jnp.zeros(balance.residual.size).at[model.tables.free].set(1.0).reshape(-1, 2, 3)
     parts = jnp.max(jnp.abs(free * balance.residual.reshape(-1, 2, 3)), axis=(0, 2))
@@ -229,7 +229,8 @@ def _time_scale(model: Model) -> Float[Array, ""]:
 
 def _last_sample(scene: Scene) -> float:
     """The time from which on no history changes; 0 at least."""
-    histories = [item.history for item in (*scene.loads, *scene.supports) if item.history is not None]
+    stated = (*scene.loads, *scene.supports, *scene.items)
+    histories = [history for item in stated if (history := getattr(item, "history", None)) is not None]
     return max([0.0, *(float(history.times[-1]) for history in histories)])
 
 

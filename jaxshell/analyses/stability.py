@@ -6,6 +6,8 @@ the material part of eq. (85):
 
     K φ = μ K₀ φ,      stable where the smallest μ is positive.
 
+Of springs and other elastic contributions K₀ has the positive part of the stiffness that they have.
+
 μ has no unit: it is 1 for motions that the stresses do not touch, and 1 - P/P_cr for the mode of a column under the
 load P. Nearly all μ are 1 or above, so that a few steps of Lanczos with K⁻¹K₀ find those that are below, whatever the
 sizes of the stiffnesses are. A step is a substitution with the factorization that Newton's last iteration left. That is
@@ -152,15 +154,32 @@ def _material_product(model: Model, state: StaticState):
     kin = jax.vmap(corotational.kinematics)(x, R, model.elements)
     Lambda = jax.vmap(corotational.deformation_gradient)(kin)
 
+    stiffening = [(acting, _positive_part(K)) for acting, K in _elastic_stiffness(model, state)]
+
     def product(x):
-        u = model.gather(model.spread(x, jnp.zeros(model.tables.held.shape), state.R)).reshape(-1, 6, 3)
+        moves = model.spread(x, jnp.zeros(model.tables.held.shape), state.R)
+        u = model.gather(moves).reshape(-1, 6, 3)
         local = jnp.einsum("mij,mkj->mki", kin.frame, u).reshape(-1, 18)
         stresses = jax.vmap(corotational.stresses)(jnp.einsum("mij,mj->mi", Lambda, local), model.elements)
         force = jnp.einsum("mij,mi->mj", Lambda, stresses).reshape(-1, 6, 3)
         nodal = model.assemble_vector(jnp.einsum("mij,mki->mkj", kin.frame, force).reshape(-1, 18))
+        for acting, matrices in stiffening:
+            groups = moves[acting.nodes].reshape(len(matrices), -1)
+            resisted = jnp.einsum("kij,kj->ki", matrices, groups)
+            nodal = nodal + model.sum_over_nodes(acting, resisted.reshape(len(matrices), -1, 6))
         return model.free(model.collected(nodal, state.R))
 
     return product
+
+
+def _elastic_stiffness(model: Model, state: StaticState):
+    return model.stiffness_of(model.elastic, model.x0 + state.d, state.R, state.time)
+
+
+def _positive_part(K: Float[Array, "k d d"]) -> Float[Array, "k d d"]:
+    """Of symmetric matrices what resists: the negative eigenvalues, of springs under pressure for one, are left out."""
+    values, vectors = jnp.linalg.eigh(0.5 * (K + jnp.swapaxes(K, 1, 2)))
+    return jnp.einsum("kij,kj,klj->kil", vectors, jnp.maximum(values, 0.0), vectors)
 
 
 def _softest(inverse, product, start: Float[Array, " nf"]) -> Float[Array, " nf"]:

@@ -81,13 +81,16 @@ def proportional(scene: Scene) -> Scene:
             for support in scene.supports
         ]
         scene = dataclasses.replace(scene, supports=still)
-    loads = range(len(scene.loads))
+    loads, names = range(len(scene.loads)), ("connectors", "obstacles")
+    items = [(name, i) for name in names for i in range(len(getattr(scene, name)))]
+    driven = [(name, i) for name, i in items if getattr(getattr(scene, name)[i], "history", None) is not None]
     moving = [i for i, support in enumerate(scene.supports) if support.moves]
 
     def histories(scene):
-        return [scene.loads[i].history for i in loads] + [scene.supports[i].history for i in moving]
+        given = [scene.loads[i].history for i in loads] + [scene.supports[i].history for i in moving]
+        return given + [getattr(scene, name)[i].history for name, i in driven]
 
-    return eqx.tree_at(histories, scene, [LoadFactor() for _ in (*loads, *moving)])
+    return eqx.tree_at(histories, scene, [LoadFactor() for _ in (*loads, *moving, *driven)])
 
 
 def solve_static(

@@ -13,6 +13,7 @@ from jaxshell.assembly.driven import Motion, Turned, motion_of
 from jaxshell.assembly.elimination import Blocks, Elimination
 from jaxshell.assembly.gauges import Watching, watching
 from jaxshell.assembly.lumps import Lumps, lumped_nodes, lumps_of
+from jaxshell.assembly.readings import Reading, readings
 from jaxshell.assembly.tables import Structure, Tables
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
@@ -136,6 +137,8 @@ class Model(eqx.Module):
     """The point masses; None where there are none."""
     multiplier_unit: Float[Array, ""] | None = None
     """What a multiplier of 1 means [force/length]; None where there are none."""
+    readings: tuple[Reading, ...] = ()
+    """What reads the connectors and obstacles that it watches."""
 
     @classmethod
     def build(cls, scene: Scene, tables: Tables) -> "Model":
@@ -164,7 +167,8 @@ class Model(eqx.Module):
         histories = (load.history for load in scene.initial_strains)
         rests = tuple(zip(rest_deformations(scene, elements), histories, strict=True))
         gauges, elimination = watching(scene, elements), elimination_of(scene, tables)
-        return cls(x0, elements, dead, acting, rests, moving, size, tables, damping, gauges, elimination, lumps, unit)
+        found = gauges, elimination, lumps, unit, readings(scene)
+        return cls(x0, elements, dead, acting, rests, moving, size, tables, damping, *found)
 
     def elements_at(self, *weighted: tuple[Any, Any]) -> Element:
         """The elements with the mean of their stress-free states at some times: (weight, time) each.

@@ -153,7 +153,7 @@ def watching(scene: Scene, elements: Element) -> tuple[Watching, ...]:
     found = []
     for _, number, component in scene.watch:
         gauge = gauge_of(component)
-        if gauge is not None:
+        if gauge is not None and isinstance(number, int):
             probe = jax.tree.map(lambda values, e=number: values[e], probe_of(scene, elements, gauge))
             found.append(Watching(probe, histories, number, gauge))
     return tuple(found)

@@ -1,5 +1,6 @@
 """A scene in lines of text: mesh, sets, sections, mass, supports, loads, what is watched."""
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -8,7 +9,7 @@ from jaxshell.command.path_report import vector
 from jaxshell.model.gauge import gauge_of
 from jaxshell.model.history import History
 from jaxshell.model.loads import InitialStrains, Load
-from jaxshell.model.mechanisms import connected_parts, free_motions
+from jaxshell.model.mechanisms import free_parts
 from jaxshell.model.scene import Scene
 from jaxshell.model.sections import AnySection, Laminate, Regions, Section
 from jaxshell.model.supports import Support
@@ -45,8 +46,12 @@ def described_scene(scene: Scene) -> Iterator[str]:
     yield entry("mass", f"{float(found.mass):.6g}, centre {vector(found.centre, _small(scene))}")
     yield from _supports(scene)
     yield from _loads(scene)
+    yield from _items(scene)
     yield from _initial(scene)
     for label, number, component in scene.watch:
+        if isinstance(number, str):
+            yield entry("watched", f"{label}: {component} of {number!r}")
+            continue
         kind = "node" if gauge_of(component) is None else "element"
         yield entry("watched", f"{label}: {component} of {kind} {number} at {_place(scene, kind, number)}")
 
@@ -71,13 +76,11 @@ def _geometry(scene: Scene) -> Iterator[str]:
 
 def _parts(scene: Scene) -> Iterator[str]:
     """Loose parts, and the rigid motions that the supports leave to each."""
-    nodes = np.asarray(scene.mesh.nodes)
-    count, part = connected_parts(scene.mesh.triangles, len(nodes))
+    parts = free_parts(scene)
+    count = len(parts)
     if count > 1:
         yield entry("parts", f"{count}, which no triangle connects")
-    for k in range(count):
-        members = np.flatnonzero(part == k)
-        motions = free_motions(nodes, members, scene.held_dofs)
+    for k, (members, motions) in enumerate(parts):
         who = "all of it" if count == 1 else f"part of {len(members)} nodes with node {members[0]}"
         if len(motions) == 6:
             yield entry("free motions", f"{who}: nothing holds it")
@@ -168,6 +171,29 @@ def _loads(scene: Scene) -> Iterator[str]:
         yield entry("", f"and {len(scene.loads) - _MOST} more")
     if len(scene.loads) > 1:
         yield entry("all loads", f"{_sum(scene, total)} at factor 1")
+
+
+def _items(scene: Scene) -> Iterator[str]:
+    """Connectors and obstacles, with their numbers."""
+    for what, items in (("connector", scene.connectors), ("obstacle", scene.obstacles)):
+        for item in items[:_MOST]:
+            groups = [part.groups(scene.mesh.triangles).array for part in item.parts()]
+            named = "" if item.name is None else f" {item.name!r}"
+            place = f": {_count(len(groups[0]), 'pair' if groups[0].shape[1] == 2 else 'node')}" if groups else ""
+            values = ((f.name, getattr(item, f.name)) for f in dataclasses.fields(item))
+            numbers = (f"{key.replace('_', ' ')} {_value(scene, value)}" for key, value in values if _is_number(value))
+            yield entry(what, ", ".join([f"{item.kind}{named}{place}", *numbers]))
+        if len(items) > _MOST:
+            yield entry("", f"and {len(items) - _MOST} more")
+
+
+def _is_number(value) -> bool:
+    return hasattr(value, "dtype") and np.size(value) > 0
+
+
+def _value(scene: Scene, value) -> str:
+    """One vector, one number, or the range of several."""
+    return vector(np.asarray(value), 0.0) if np.shape(value) == (3,) else _range(value)
 
 
 def _initial(scene: Scene) -> Iterator[str]:

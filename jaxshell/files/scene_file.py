@@ -14,9 +14,10 @@
     [[loads]]      kind = "force", "moment", "edge force", "gravity", "pressure" or "normal force"; nodes, edges of an
                    edge force (or inner = true for inner edges between the nodes), elements of a pressure; its force,
                    moment, acceleration, pressure or magnitude; history
+    [[connectors]], [[obstacles]]: see `jaxshell.files.items`
     [damping]      alpha, beta, or ratios with modes (counted from 1) or frequencies: see `RayleighDamping`
     [watch]        label = { nearest or node, component }, or of a stress or section force, as "von mises top" or "Mxx",
-                   { nearest or element, component }
+                   { nearest or element, component }; or { connector or obstacle = its name, component }
     [initial]      velocity, angular_velocity, about: a rigid motion; [[initial]]: of sets of nodes, see
                    `jaxshell.files.initial`
     [run]          how it is run: the keys of `jaxshell.files.run_keys.RunSettings`, method, dt, t_end, save_every,
@@ -35,7 +36,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxshell.files.history import read_history
 from jaxshell.files.initial import read_initial
+from jaxshell.files.items import ITEM_KINDS, read_items
 from jaxshell.files.run_keys import RunSettings
 from jaxshell.files.sections import chosen_kind, read_direction, read_materials, read_section
 from jaxshell.files.selectors import NODE_SELECTORS, chosen_edges, chosen_elements, chosen_nodes
@@ -43,7 +46,6 @@ from jaxshell.files.tables import Table
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.gauge import gauge_of
 from jaxshell.model.generators import GENERATORS
-from jaxshell.model.history import History
 from jaxshell.model.loads import LOADS, InitialStrain, InitialStrains, Load, Thermal
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.mesh_file import is_file
@@ -56,7 +58,7 @@ READING = ("quads", "second_order", "merge", "orient", "coincident")
 LOAD_KINDS = {load.kind: load for load in LOADS if not issubclass(load, InitialStrains)}
 _SYMMETRY = {f"symmetry {normal}": symmetry([0], normal).dofs for normal in "xyz"}
 KNOWN = ("name", "units", "mesh", "materials", "section", "supports", "loads", "thermal", "initial_strain")
-KNOWN += ("damping", "watch", "initial", "run")
+KNOWN += (*ITEM_KINDS, "damping", "watch", "initial", "run")
 MOTIONS = ("displacement", "rotation", "angle", "about", "acceleration")
 """Keys of a support that moves."""
 HOLD = {"clamped": ALL, "pinned": ("ux", "uy", "uz"), **_SYMMETRY}
@@ -97,6 +99,7 @@ def _scene(content: dict, path: Path, mesh: Mesh | None) -> tuple[Scene, RunSett
     mesh = _mesh(top.table("mesh"), path.parent) if mesh is None else mesh
     run = top.table("run", optional=True)
     settings = RunSettings.from_table(run.content)
+    items: dict[str, Any] = {key: read_items(top, key, mesh) for key in ITEM_KINDS}
     scene = Scene(
         mesh,
         read_section(top, read_materials(top.table("materials", optional=True)), mesh),
@@ -106,6 +109,7 @@ def _scene(content: dict, path: Path, mesh: Mesh | None) -> tuple[Scene, RunSett
         name=top.text("name", path.stem),
         watch=_watch(top.table("watch", optional=True), mesh),
         defaults=_defaults(settings, top.text("units", "")),
+        **items,
     )
     if "damping" in content:
         scene = dataclasses.replace(scene, damping=_damping(top.table("damping"), scene))
@@ -175,7 +179,7 @@ def _support(table: Table, mesh: Mesh) -> Support:
             )
         hold = HOLD[hold]
     motion = {key: table.content[key] for key in MOTIONS if key in table.content}
-    return table.call(Support, chosen_nodes(table, mesh), hold, history=_history(table), **motion)
+    return table.call(Support, chosen_nodes(table, mesh), hold, history=read_history(table), **motion)
 
 
 def _load(table: Table, mesh: Mesh) -> Load:
@@ -183,11 +187,11 @@ def _load(table: Table, mesh: Mesh) -> Load:
     if load.acts_on == "shell":
         table.only("kind", load.value, "history", *load.sets)
         chosen = {key: chosen_elements(table, key, mesh) for key in load.sets if key in table.content}
-        return table.call(load, table.get(load.value), _history(table), **chosen)
+        return table.call(load, table.get(load.value), read_history(table), **chosen)
     on_edges = load.acts_on == "edges"
     table.only("kind", *NODE_SELECTORS, *(["edges", "inner"] if on_edges else []), load.value, "history")
     where = chosen_edges(table, mesh) if on_edges else chosen_nodes(table, mesh)
-    return table.call(load, where, table.get(load.value), _history(table))
+    return table.call(load, where, table.get(load.value), read_history(table))
 
 
 def _initial_strains(top: Table, mesh: Mesh) -> list[Load]:
@@ -196,7 +200,7 @@ def _initial_strains(top: Table, mesh: Mesh) -> list[Load]:
         table.fields(
             kind,
             direction=read_direction,
-            history=lambda table, _: _history(table),
+            history=lambda table, _: read_history(table),
             elements=lambda table, key: chosen_elements(table, key, mesh),
         )
         for key, kind in kinds.items()
@@ -204,22 +208,15 @@ def _initial_strains(top: Table, mesh: Mesh) -> list[Load]:
     ]
 
 
-def _history(table: Table) -> History | None:
-    if "history" not in table.content:
-        return None
-    inner = table.table("history")
-    inner.only("ramp", "times", "values")
-    if "ramp" in inner.content:
-        inner.only("ramp")
-        return table.call(History.ramp, inner.get("ramp"))
-    return table.call(History, inner.get("times"), inner.get("values"))
-
-
 def _watch(table: Table, mesh: Mesh) -> dict[str, tuple[int | str, str]]:
     found = {}
     for label in table.content:
         inner = table.table(label)
         component = inner.text("component") if "component" in inner.content else ""
+        if named := [key for key in ("connector", "obstacle") if key in inner.content]:
+            inner.only(named[0], "component")
+            found[label] = (inner.text(named[0]), inner.text("component"))
+            continue
         where = "node" if gauge_of(component) is None else "element"
         inner.only("nearest", where, "component")
         if ("nearest" in inner.content) == (where in inner.content):

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from jaxshell.files.initial import MOTION
+from jaxshell.files.items import ITEM_KINDS, POINT
 from jaxshell.files.run_keys import ANALYSES, OF, RunSettings
 from jaxshell.files.scene_file import HOLD, LOAD_KINDS, READING, SETS
 from jaxshell.files.sections import MATERIAL_KINDS, SECTION_KINDS
@@ -108,6 +109,7 @@ def schema() -> Schema:
         "loads": _list(_any(*map(_load, LOAD_KINDS.values()))),
         "thermal": _list(_arguments(Thermal)),
         "initial_strain": _list(_arguments(InitialStrain)),
+        **{key: _list(_any(*map(_item, kinds.values()))) for key, kinds in ITEM_KINDS.items() if kinds},
         "damping": _damping(),
         "watch": {"type": "object", "additionalProperties": _watch()},
         "initial": _any(_initial(), _list(_initial())),
@@ -194,6 +196,25 @@ def _load(load: Any) -> Schema:
     return _table(properties, ["kind", load.value])
 
 
+def _item(kind: Any) -> Schema:
+    """A connector, an obstacle or the like, whose keys are the arguments of its class."""
+    found = _arguments(kind, kind={"const": kind.kind})
+    of_nodes, of_sides = _any(TEXT, COUNT, _list(COUNT)), _table(_NODES | {"inner": _EDGES["inner"]})
+    at_point = _table({POINT: ARRAYS}, [POINT])
+    chosen = {"node": _any(of_nodes, _table(_NODES), at_point), "element": _ELEMENTS}
+    chosen["side"] = _any(TEXT, _PAIRS, of_sides)
+    for name, parameter in inspect.signature(kind).parameters.items():
+        if name in kind.sets:
+            found["properties"][name] = chosen[kind.sets[name]]
+        elif isinstance(parameter.default, bool):
+            found["properties"][name] = SWITCH
+        elif name == "name":
+            found["properties"][name] = _said(TEXT, "by which it is watched")
+        elif name not in _KNOWN:
+            found["properties"][name] = _any(NUMBER, ARRAYS)
+    return found | {"required": ["kind", *found["required"]]}
+
+
 def _damping() -> Schema:
     modes, numbers = _any(COUNT, _list(COUNT)), _any(NUMBER, NUMBERS)
     return _any(
@@ -203,8 +224,11 @@ def _damping() -> Schema:
 
 
 def _watch() -> Schema:
-    component = _said(TEXT, 'ux, uy, uz, vx, vy, vz of a node; "von mises top", "sxx bottom", "Mxx" of an element')
+    component = _said(
+        TEXT, 'ux, uy, uz, vx, vy, vz of a node; "von mises top", "Mxx" of an element; "force" of a connector'
+    )
     of = {"nearest": VECTOR, "node": _any(COUNT, TEXT), "element": _any(COUNT, TEXT)}
+    of |= {what: _said(TEXT, "its name") for what in ("connector", "obstacle")}
     return _table({**of, "component": component}, ["component"])
 
 

@@ -110,6 +110,10 @@ class Method(eqx.Module):
     """Whether a step solves equations. Explicit methods do not, and nothing is analysed or kept for them."""
     controls_step: ClassVar[bool] = True
     """Whether its steps may be chosen by `StepControl`."""
+    balances_means: ClassVar[bool] = False
+    """Contributions enter with their means over the step; else with their forces at its end."""
+    has_rates: ClassVar[bool] = True
+    """Whether anything moves in time: else nothing resists."""
 
     def check(self, scene, steps) -> None:
         """Raise ValueError where the method cannot run `scene` with these step sizes; before compilation."""
@@ -142,11 +146,6 @@ def may_have_first_moment(scene) -> bool:
 
 class ImplicitMethod(Method):
     """A method whose step solves a nonlinear balance with Newton's iteration."""
-
-    balances_means: ClassVar[bool] = False
-    """Contributions enter with their means over the step; else with their forces at its end."""
-    has_rates: ClassVar[bool] = True
-    """Whether anything moves in time: else nothing resists."""
 
     # --- for one node or one element -----------------------------------------------------------------------
 
@@ -304,7 +303,7 @@ class ImplicitMethod(Method):
             return contribution.balanced(data, start, end, self.weight_at_end(step))
         if self.balances_means:
             return contribution.mean_force(data, start, end)
-        return self.weight_at_end(step) * contribution.force(data, end)
+        return self.weight_at_end(step) * contribution.end_force(data, start, end)
 
     def work_of_loads(self, model: Model, state, begun: Begun, motion: Motion, u) -> Float[Array, ""]:
         """External work on the increments u, as the balance has it: of loads, of moving supports and of what moves

@@ -15,7 +15,8 @@ part βω²Δt/2), though Δt is so small that it hardly shows, and costs stabil
 frequency Δt ≤ (√(1 + ζ²) - ζ) 2/ω (Belytschko, Liu & Moran, section 6.2).
 
 Stability: Δt ≤ 2/ω_max, and ω_max is bounded by the largest frequency of any single element with its own lumped
-mass (Irons' theorem; Belytschko, Liu & Moran, Nonlinear Finite Elements, section 6.2).
+mass (Irons' theorem; Belytschko, Liu & Moran, Nonlinear Finite Elements, section 6.2). Springs add to ω_max² at most
+the largest eigenvalue of their own stiffness, and dashpots lag as viscous stresses do.
 """
 
 from typing import Any, ClassVar
@@ -341,7 +342,40 @@ def _stable_step(scene: Scene, tables: Tables) -> Float[Array, ""]:
         return jnp.linalg.eigvalsh(0.5 * (K + K.T) * scale[:, None] * scale[None, :])[-1]
 
     squares = jax.vmap(largest)(model.gather(x), model.gather(R), model.elements_at((1.0, 0.0)))
-    if model.damping is not None and model.damping.beta is not None:
-        beta = model.damping.beta
+    beta = None if model.damping is None else model.damping.beta
+    if model.elastic or model.resisting:
+        stiff, lagging = _of_contributions(model, x, R)
+        squares = squares + stiff
+        lagging = lagging if beta is None else lagging + beta * squares
+        return jnp.min((jnp.sqrt(4.0 * squares + lagging**2) - lagging) / squares)
+    if beta is not None:
         return jnp.min(jnp.sqrt(beta**2 + 4.0 / squares) - beta)
     return 2.0 / jnp.sqrt(jnp.max(squares))
+
+
+def _of_contributions(model: Model, x, R) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Bounds of the eigenvalues of M⁻¹K and M⁻¹C of connectors and the like at the start, by Gershgorin's circles.
+
+    The eigenvalues of a sum are no more than the sums of the largest.
+    """
+    place, scale = (x, R, jnp.zeros(())), 1.0 / jnp.sqrt(lumped_mass(model))
+
+    def largest(matrices):
+        rows = jnp.zeros_like(scale)
+        for acting, blocks in matrices:
+            of_group = scale[acting.nodes].reshape(len(blocks), -1)
+            sums = of_group * jnp.einsum("kij,kj->ki", jnp.abs(blocks), of_group)
+            rows = rows.at[acting.nodes].add(sums.reshape(len(blocks), -1, 6))
+        return jnp.max(rows)
+
+    def resisting(acting):
+        def one(data, at):
+            def force(rates):
+                return acting.contribution.resistance(data, at, at, at, rates.reshape(-1, 6)).reshape(-1)
+
+            return jax.jacfwd(force)(jnp.zeros(6 * at.x.shape[0]))
+
+        return jax.vmap(one)(acting.data, acting.places(*place))
+
+    lagging = [(acting, resisting(acting)) for acting in model.resisting]
+    return largest(model.stiffness_of(model.elastic, *place)), largest(lagging)

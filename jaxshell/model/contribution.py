@@ -75,6 +75,10 @@ class Contribution(eqx.Module):
         """Derivative of `force` by displacements and spins (δx, δω) of the group."""
         return _derivative(lambda place: self.force(data, place), place)
 
+    def end_force(self, data, start: Place, end: Place) -> Float[Array, "c 6"]:
+        """Force and moment at the end of a step, which begins at `start`: `force`, unless that must know it."""
+        return self.force(data, end)
+
     def mean_force(self, data, start: Place, end: Place) -> Float[Array, "c 6"]:
         """Force and moment over a step, for methods that conserve energy: by default half the sum of the ends'."""
         return 0.5 * (self.force(data, start) + self.force(data, end))
@@ -82,6 +86,18 @@ class Contribution(eqx.Module):
     def mean_stiffness(self, data, start: Place, end: Place) -> Float[Array, "d d"]:
         """Derivative of `mean_force` by displacements and spins of the end of the step."""
         return _derivative(lambda end: self.mean_force(data, start, end), end)
+
+    def quantities(self) -> tuple[str, ...]:
+        """What of it can be watched: words out of `jaxshell.model.quantities`."""
+        return ()
+
+    def read(self, data, start: Place, end: Place, force: Float[Array, "c 6"], component: str) -> Float[Array, ""]:
+        """One of its `quantities`, of one group, in the step from `start` to `end`.
+
+        `force` is what it puts on every node: in `EnergyMomentum` the mean over the step, in other methods that of the
+        step's end, and for what resists that of the step's mean rates. At the start of a run both places are the start.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no {component}.")
 
 
 class Elastic(Contribution):
@@ -180,6 +196,19 @@ def displaced(place: Place, change: Float[Array, " d"]) -> Place:
 def between(start: Place, end: Place, weight: Any = 0.5) -> Place:
     """The weighted mean of two places, `weight` that of the end; its R are no rotations."""
     return jax.tree.map(lambda a, b: (1.0 - weight) * a + weight * b, start, end)
+
+
+def mean_rates(start: Place, end: Place) -> Float[Array, "c 6"]:
+    """Velocities and angular velocities (Cayley vectors) of a step over its time; zero where it takes none."""
+
+    def turn(before, after):  # cay(θ) = R₁ R₀ᵀ
+        Q = after @ before.T
+        axial = jnp.stack([Q[2, 1] - Q[1, 2], Q[0, 2] - Q[2, 0], Q[1, 0] - Q[0, 1]])
+        return 2.0 * axial / (1.0 + jnp.trace(Q))
+
+    dt = end.time - start.time
+    moved = jnp.concatenate([end.x - start.x, jax.vmap(turn)(start.R, end.R)], axis=1)
+    return jnp.where(dt > 0, moved / jnp.where(dt > 0, dt, 1.0), 0.0)
 
 
 def gradient_between(function: Callable, place: Place) -> Float[Array, "*s c 6"]:

@@ -1,6 +1,8 @@
 """Rigid-body motions that the supports leave free: statics has no answer while there is one."""
 
+import jax
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -14,43 +16,103 @@ _RANK = 1e-8
 def check_supported(scene: Scene) -> None:
     """Raise ValueError that names the rigid-body motions left free, of every connected part of the mesh.
 
-    Nodes that are being traced cannot be looked at and are let through.
+    Nodes and connectors that are being traced cannot be looked at and are let through.
     """
-    if not is_concrete(scene.mesh.nodes):
+    if not all(map(is_concrete, jax.tree.leaves((scene.mesh.nodes, scene.connectors)))):
         return
-    nodes = np.asarray(scene.mesh.nodes)
-    count, part = connected_parts(scene.mesh.triangles, len(nodes))
-    for k in range(count):
-        members = np.flatnonzero(part == k)
-        motions = free_motions(nodes, members, scene.held_dofs)
+    parts = free_parts(scene)
+    for members, motions in parts:
         if motions:
-            which = "the shell" if count == 1 else f"the part of the shell with node {members[0]} ({count} parts)"
+            which = "the shell"
+            if len(parts) > 1:
+                which = f"the part of the shell with node {members[0]} ({len(parts)} parts)"
             raise ValueError(
                 f"The supports leave {which} free to move as a rigid body: {'; '.join(motions)}. "
                 "Hold these motions; a shell without supports moves and vibrates, but has no static answer."
             )
 
 
-def connected_parts(triangles: np.ndarray, n_nodes: int) -> tuple[int, np.ndarray]:
-    """How many parts of a mesh no element connects, and the part (n,) of each node."""
-    ends = triangles.ravel(), np.roll(triangles, 1, axis=1).ravel()
-    return connected_components(coo_matrix((np.ones(triangles.size), ends), (n_nodes, n_nodes)), directed=False)
+def free_parts(scene: Scene) -> list[tuple[np.ndarray, list[str]]]:
+    """The parts that no element and no rigid body connects: their nodes, and the rigid-body motions that supports and
+    connectors leave to each, in words.
+
+    Connectors join parts; a part's motion is free where the others may move along with it.
+    """
+    nodes = np.asarray(scene.mesh.nodes)
+    links = [np.stack([body.followers, np.full(len(body.followers), body.master)], axis=1) for body in scene.bodies]
+    count, part = connected_parts(scene.mesh.triangles, len(nodes), links)
+    places = [_Part(nodes, np.flatnonzero(part == k)) for k in range(count)]
+    held = [place.rows_of(scene.held_dofs) for place in places]
+    joining = [rows for item in scene.connectors for rows in _joining(item.holds(scene.mesh), nodes, part, places)]
+    if not joining:
+        return [(place.members, place.words(_null(rows))) for place, rows in zip(places, held, strict=True)]
+    both = np.concatenate([np.asarray(block_diag(*held)), *joining])
+    null = _null(both).reshape(-1, count, 6)
+    return [(place.members, place.words(_independent(null[:, k]))) for k, place in enumerate(places)]
 
 
-def free_motions(nodes: np.ndarray, members: np.ndarray, held_dofs: np.ndarray) -> list[str]:
-    """The rigid-body motions of the nodes `members` that the held degrees of freedom (6·node + dof) allow, in words."""
-    centre = nodes[members].mean(axis=0)
-    size = np.linalg.norm(np.ptp(nodes[members], axis=0))
-    node, dof = np.divmod(held_dofs[np.isin(held_dofs // 6, members)], 6)
-    # Row of a held degree of freedom: its motion under (v, ω·size), v the velocity of the centre.
-    rows = np.zeros((node.size, 6))
-    arm = (nodes[node] - centre) / size
-    moving, axis = dof < 3, dof % 3
-    rows[np.arange(node.size), dof] = 1.0
-    spins = np.cross(np.eye(3)[None, :, :], arm[:, None, :])  # [row, j]: ∂(ω × arm)/∂ω_j
-    rows[moving, 3:] = spins[np.flatnonzero(moving), :, axis[moving]]
-    _, singular, basis = np.linalg.svd(np.concatenate([rows, np.zeros((6, 6))]))
-    null = basis[singular <= _RANK * max(1.0, singular[0])]
+def connected_parts(triangles: np.ndarray, n_nodes: int, links=()) -> tuple[int, np.ndarray]:
+    """How many parts of a mesh no element connects, and none of the `links` (k, 2), and the part (n,) of each node."""
+    first = np.concatenate([triangles.ravel(), *(pairs[:, 0] for pairs in links)])
+    second = np.concatenate([np.roll(triangles, 1, axis=1).ravel(), *(pairs[:, 1] for pairs in links)])
+    return connected_components(coo_matrix((np.ones(first.size), (first, second)), (n_nodes, n_nodes)), directed=False)
+
+
+class _Part:
+    """A part that moves as a rigid body: by (v, ω·size), v the velocity of its centre."""
+
+    def __init__(self, nodes: np.ndarray, members: np.ndarray):
+        self.nodes, self.members = nodes, members
+        self.centre = nodes[members].mean(axis=0)
+        self.size = float(np.linalg.norm(np.ptp(nodes[members], axis=0))) or 1.0  # of a single node any
+
+    def motion_of(self, node) -> np.ndarray:
+        """(6, 6) velocity and spin·size of a node, a number, by rows, under the part's motions."""
+        arm = (self.nodes[node] - self.centre) / self.size
+        found = np.eye(6)
+        found[:3, 3:] = np.cross(np.eye(3), arm).T  # column j: ω_j × arm
+        return found
+
+    def rows_of(self, dofs: np.ndarray) -> np.ndarray:
+        """(k, 6) of the degrees of freedom 6·node + dof that are the part's."""
+        own = dofs[np.isin(dofs // 6, self.members)]
+        return np.array([self.motion_of(node)[dof] for node, dof in zip(*np.divmod(own, 6), strict=True)]).reshape(
+            -1, 6
+        )
+
+    def words(self, null: np.ndarray) -> list[str]:
+        """Motions (k, 6), in words."""
+        return _named(null, self.centre, self.size)
+
+
+def _joining(holds, nodes: np.ndarray, part: np.ndarray, places: list[_Part]):
+    """What connectors resist, by the motions of all parts: rows (r, 6 parts) of each group."""
+    for group, rows in holds:
+        total = np.zeros((len(rows), 6 * len(places)))
+        for position, node in enumerate(group):
+            k, own = part[node], rows[:, 6 * position : 6 * position + 6].copy()
+            own[:, 3:] /= places[k].size
+            total[:, 6 * k : 6 * k + 6] += own @ places[k].motion_of(node)
+        sizes = np.linalg.norm(total, axis=1)
+        yield total[sizes > 0] / sizes[sizes > 0][:, None]
+
+
+def _null(rows: np.ndarray) -> np.ndarray:
+    """(k, d) motions that leave all rows at rest."""
+    _, singular, basis = np.linalg.svd(np.concatenate([rows, np.zeros((rows.shape[1], rows.shape[1]))]))
+    return basis[singular <= _RANK * max(1.0, singular[0])]
+
+
+def _independent(motions: np.ndarray) -> np.ndarray:
+    """(k, 6) motions that span those given."""
+    if not len(motions):
+        return motions
+    _, singular, basis = np.linalg.svd(motions)
+    return basis[: len(singular)][singular > _RANK]
+
+
+def _named(null: np.ndarray, centre: np.ndarray, size: float) -> list[str]:
+    """Rigid-body motions (v, ω·size), in words."""
     if not len(null):
         return []
     # Spins first: after elimination, rows without a spin are translations.

@@ -14,10 +14,12 @@ from jaxshell.model.connectors.rigid_body import check_bodies
 from jaxshell.model.contribution import Contribution
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.gauge import check_gauge, gauge_of
+from jaxshell.model.items import Item, check_names, check_quantity, named
 from jaxshell.model.loads import InitialStrains, Load
 from jaxshell.model.masses import Masses, PointMass
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.obstacles import Obstacle
+from jaxshell.model.quantities import QUANTITIES
 from jaxshell.model.sections import AnySection, Regions, Section
 from jaxshell.model.sets import check_on_mesh
 from jaxshell.model.supports import DOFS, Support, slanted_axes
@@ -158,9 +160,10 @@ class Scene(eqx.Module):
         name: for files and pictures.
         watch: {label: (node, component)}, component out of ux, uy, uz, vx, vy, vz, or {label: (element, component)} for
             a stress or section force such as "von mises top", "sxx bottom", "s11 ply 0", "Mxx" (`jaxshell.model.gauge`
-            lists them); kept at every step. The name of a set that holds one node or element may stand for it. Or the
-            same as (label, number, component), as a scene has it: so `dataclasses.replace` makes a scene that differs
-            in a part.
+            lists them); kept at every step. The name of a set that holds one node or element may stand for it.
+            {label: (name of a connector or an obstacle, component)} for what it measures, such as "force"
+            (`jaxshell.model.quantities`). Or the same as (label, number, component), as a scene has it: so
+            `dataclasses.replace` makes a scene that differs in a part.
         defaults: suggested time step, duration and methods (used by the command line only).
         damping: `RayleighDamping`, or None. Runs in time have it; statics and frequencies do not look at it.
         masses: `PointMass` at nodes.
@@ -178,7 +181,7 @@ class Scene(eqx.Module):
     loads: tuple[Load, ...]
     initial: Initial | None
     name: str = eqx.field(static=True)
-    watch: tuple[tuple[str, int, str], ...] = eqx.field(static=True)
+    watch: tuple[tuple[str, int | str, str], ...] = eqx.field(static=True)
     defaults: Defaults | None = eqx.field(static=True)
     damping: RayleighDamping | None
     masses: tuple[PointMass, ...]
@@ -214,12 +217,12 @@ class Scene(eqx.Module):
         bodies = [item for item in connectors if isinstance(item, RigidBody)]
         self.initial = initial.completed(mesh, bodies) if isinstance(initial, Initial) else initial
         self.name = name
-        self.watch = _watched(watch, mesh)
         self.defaults = defaults
         self.damping = damping
         self.masses = _placed("mass", _objects("masses", masses, PointMass, "jaxshell.PointMass"), mesh)
         self.connectors = connectors
         self.obstacles = _placed("obstacle", _objects("obstacles", obstacles, Obstacle, "jaxshell.Plane"), mesh)
+        self.watch = _watched(watch, mesh, {item.name for item in self.items})
 
     def __check_init__(self):
         n = self.mesh.n_nodes
@@ -235,9 +238,9 @@ class Scene(eqx.Module):
                 nodes = getattr(item, "nodes", None)
                 if nodes is not None:
                     check_on_mesh(f"{kind} {position}", "node", nodes.array, n)
+        self._check_items()
         for label, number, component in self.watch:
             self._check_watched(f"watch {label!r}", number, component)
-        self._check_items()
         if self.initial is not None:
             self.initial.check(n)
         self._check_prescribed_once()
@@ -245,6 +248,7 @@ class Scene(eqx.Module):
         check_bodies(self.bodies, self.supports)
 
     def _check_items(self):
+        check_names(self.items)
         kinds = {"load": self.loads, "mass": self.masses}
         kinds |= {"connector": self.connectors, "obstacle": self.obstacles}
         for kind, items in kinds.items():
@@ -256,14 +260,18 @@ class Scene(eqx.Module):
                 except ValueError as error:
                     raise ValueError(f"{kind} {position}: {error}") from error
 
-    def _check_watched(self, what: str, number: int, component):
+    def _check_watched(self, what: str, number: int | str, component):
+        if isinstance(number, str):
+            check_quantity(what, named(what, self.items, number), component, self.mesh.triangles)
+            return
         gauge = gauge_of(component)
         if gauge is None:
             check_on_mesh(what, "node", np.array([number]), self.mesh.n_nodes)
             if not isinstance(component, str) or component not in WATCHABLE:
                 raise ValueError(
-                    f"{what} names {shown(component)}; choose out of {', '.join(WATCHABLE)} of a node, or of an "
-                    'element a stress or section force such as "von mises top", "sxx bottom", "Mxx".'
+                    f"{what} names {shown(component)}; choose out of {', '.join(WATCHABLE)} of a node, of an "
+                    'element a stress or section force such as "von mises top", "sxx bottom", "Mxx", or of a connector '
+                    f"or an obstacle, by its name, one of {', '.join(QUANTITIES)}."
                 )
             return
         check_on_mesh(what, "element", np.array([number]), self.mesh.n_elements)
@@ -281,10 +289,24 @@ class Scene(eqx.Module):
                 raise ValueError(f"Degree of freedom {DOFS[dof]} of node {node} is prescribed by two supports.")
 
     @property
+    def items(self) -> tuple[Item, ...]:
+        """What may have a name by which it is watched: connectors and obstacles."""
+        return (*self.connectors, *self.obstacles)
+
+    @property
     def contributions(self) -> tuple[Contribution, ...]:
         """What follows the motion: loads that do, connectors, obstacles, in that order."""
-        loads = (load for load in self.loads if isinstance(load, Contribution))
-        return tuple(part for item in (*loads, *self.connectors, *self.obstacles) for part in item.parts())
+        return tuple(part for item in self._contributing for part in item.parts())
+
+    def contributions_of(self, item: Item) -> range:
+        """Which of them are parts of an item."""
+        counts = [len(other.parts()) for other in self._contributing]
+        position = next(i for i, other in enumerate(self._contributing) if other is item)
+        return range(sum(counts[:position]), sum(counts[: position + 1]))
+
+    @property
+    def _contributing(self) -> tuple[Contribution | Item, ...]:
+        return (*(load for load in self.loads if isinstance(load, Contribution)), *self.items)
 
     @property
     def initial_strains(self) -> tuple[InitialStrains, ...]:
@@ -406,8 +428,11 @@ def _placed(what: str, items: tuple[Any, ...], mesh: Mesh) -> tuple[Any, ...]:
     return tuple(found)
 
 
-def _watched(watch, mesh: Mesh) -> tuple[tuple[str, int, str], ...]:
-    """What is watched, as a scene keeps it. Raises ValueError for anything but labels, nodes and components."""
+def _watched(watch, mesh: Mesh, names: set[str | None]) -> tuple[tuple[str, int | str, str], ...]:
+    """What is watched, as a scene keeps it; `names` are those of connectors and obstacles.
+
+    Raises ValueError for anything but labels, nodes and components.
+    """
     if watch is None:
         return ()
     if isinstance(watch, Mapping):
@@ -421,6 +446,10 @@ def _watched(watch, mesh: Mesh) -> tuple[tuple[str, int, str], ...]:
         label, node, component = entry
         if not isinstance(label, str):
             raise ValueError(f"A watch label must be text, but it is {shown(label)}.")
+        of_item = isinstance(component, str) and component not in WATCHABLE and gauge_of(component) is None
+        if isinstance(node, str) and of_item and (node in names or component in QUANTITIES):
+            found.append((label, node, component))
+            continue
         if isinstance(node, str):
             chosen = mesh.node_set if gauge_of(component) is None else mesh.element_set
             node = _only_one(f"watch {label!r}", node, chosen)

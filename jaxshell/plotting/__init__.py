@@ -25,7 +25,8 @@ def figures(
     solutions: Mapping[str, Solution] | Solution, contours: Sequence[str] = (), renderer: str = "auto"
 ) -> dict[str, Figure]:
     """The pictures that `plot` writes, by what they show: shapes, displacement, velocity, stress, membrane_force,
-    moment, energy, momentum, and one for each of `contours`; of statics shapes, path and contours.
+    moment, energy, momentum, connectors_force (and _moment, _length, _angle, _energy: of obstacles too), and one for
+    each of `contours`; of statics shapes, path and contours.
 
     Shapes are of the first solution. What the solutions do not hold is left out: velocity without a watched
     velocity, histories of a run that failed in its first step, momentum of a shell that supports hold.
@@ -54,6 +55,8 @@ def figures(
             drawn["velocity"] = watched_figure(moving, "v")
             for what, kind in (("stress", "stress"), ("membrane_force", "N"), ("moment", "M")):
                 drawn[what] = watched_figure(moving, kind)
+            for kind in ("force", "moment", "length", "angle", "energy"):
+                drawn[f"connectors_{kind}"] = watched_figure(moving, f"{kind} of item")
             drawn["energy"] = energy_figure(moving)
             drawn["momentum"] = momentum_figure(moving)
     return {what: figure for what, figure in drawn.items() if figure is not None}

@@ -11,6 +11,7 @@ from matplotlib.colors import ListedColormap, Normalize
 
 from jaxshell.model.gauge import Gauge, gauge_of
 from jaxshell.plotting.style import length_unit, plain, scaled
+from jaxshell.results.export.units import symbol_of
 from jaxshell.results.smoothing import nodal, smooth_patches
 from jaxshell.results.solution import Solution
 from jaxshell.results.stresses import checked_gauge, gauge_field
@@ -61,7 +62,7 @@ def colouring(runs: Sequence[Solution], frames: Sequence[Sequence[int]], field: 
         limits, colour_map = (0.0, largest / divisor), COLOUR_MAP
     else:
         label = name_of(field, gauge)
-        divisor, unit = scaled(scene, largest, symbol_of(gauge))
+        divisor, unit = scaled(scene, largest, symbol_of(field))
         signed = low < 0 < high
         limits = (-largest / divisor, largest / divisor) if signed else (low / divisor, high / divisor)
         colour_map = _SIGNED if signed else COLOUR_MAP
@@ -98,8 +99,3 @@ def name_of(component: str, gauge: Gauge) -> str:
         return plain(f"{'Larger' if gauge.pick == 'smax' else 'Smaller'} principal stress, {component[5:]}")
     symbol = r"\tau" if gauge.pick == 2 else r"\sigma"
     return f"${symbol}_{{{component[1:3]}}}$, {plain(component[4:].replace(' material', ' (material axes)'))}"
-
-
-def symbol_of(gauge: Gauge) -> str:
-    """The SI unit of what a gauge reads."""
-    return {"stress": "Pa", "N": "N/m", "M": "N"}[gauge.quantity]

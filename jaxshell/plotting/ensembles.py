@@ -8,10 +8,9 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxshell.model.gauge import gauge_of
-from jaxshell.plotting.colouring import symbol_of
 from jaxshell.plotting.histories import watched_axis
 from jaxshell.plotting.style import BLACK, BLUE, COLOURS, SKY, STYLE, VERMILLION, WIDTH, plain, scaled
+from jaxshell.results.export.units import symbol_of
 from jaxshell.results.sensitivities import MAIN, REGRESSION, SOBOL, Sensitivities
 from jaxshell.results.sweep import Sweep
 
@@ -144,7 +143,5 @@ def _unit(sweep: Sweep, name: str, values: np.ndarray) -> tuple[float, str]:
     """Divisor and unit of a response; of what a function gave none is known."""
     for label, component in _watch(sweep):
         if name in (f"{label} min", f"{label} max", f"{label} end"):
-            gauge = gauge_of(component)
-            symbol = symbol_of(gauge) if gauge is not None else "m" if component[0] == "u" else "m/s"
-            return scaled(sweep.scene, float(np.max(np.abs(values))), symbol)
+            return scaled(sweep.scene, float(np.max(np.abs(values))), symbol_of(component))
     return 1.0, ""

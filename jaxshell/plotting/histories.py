@@ -6,8 +6,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from jaxshell.model.gauge import gauge_of
+from jaxshell.model.quantities import QUANTITIES
 from jaxshell.model.scene import Scene
-from jaxshell.plotting.colouring import name_of, symbol_of
+from jaxshell.plotting.colouring import name_of
 from jaxshell.plotting.shapes import symmetry_planes
 from jaxshell.plotting.style import (
     BLACK,
@@ -23,6 +24,7 @@ from jaxshell.plotting.style import (
     title,
 )
 from jaxshell.results.diagnostics import Drift, energy_balance, momentum_drift, momentum_scales
+from jaxshell.results.export.units import symbol_of
 from jaxshell.results.solution import Solution
 
 Runs = Mapping[str, Solution]
@@ -48,10 +50,15 @@ def watched_figure(runs: Runs, kind: str) -> Figure | None:
 
 
 _WHAT = {"u": "displacement", "v": "velocity", "stress": "stress", "N": "membrane force", "M": "moment"}
+_WHAT |= {f"{kind} of item": f"{kind} of connectors and obstacles" for kind in ("force", "moment", "length", "angle")}
+_WHAT["energy of item"] = "energy of connectors and obstacles"
 
 
 def kind_of(component: str) -> str:
-    """Of a watched component: "u" for displacements, "v" for velocities, "stress", "N" or "M" for section forces."""
+    """Of a watched component: "u" for displacements, "v" for velocities, "stress", "N" or "M" for section forces,
+    "force of item" and so on for what connectors and obstacles measure."""
+    if component in QUANTITIES:
+        return f"{QUANTITIES[component].kind} of item"
     gauge = gauge_of(component)
     return component[0] if gauge is None else gauge.quantity
 
@@ -185,11 +192,14 @@ def watched_axis(scene: Scene, label: str, component: str, largest: float) -> tu
     for own, divisor, text in () if scene.defaults is None else scene.defaults.axes:
         if own == label:
             return divisor, text
+    if component in QUANTITIES:
+        divisor, unit = scaled(scene, largest, symbol_of(component))
+        return divisor, f"{plain(label)}, {QUANTITIES[component].says}{unit}"
     gauge = gauge_of(component)
     if gauge is not None:
-        divisor, unit = scaled(scene, largest, symbol_of(gauge))
+        divisor, unit = scaled(scene, largest, symbol_of(component))
         return divisor, f"{plain(label)}, {name_of(component, gauge)}{unit}"
-    divisor, unit = scaled(scene, largest, "m" if component[0] == "u" else "m/s")
+    divisor, unit = scaled(scene, largest, symbol_of(component))
     return divisor, f"{plain(label)}, ${component[0]}_{component[1]}${unit}"
 
 

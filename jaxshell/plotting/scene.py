@@ -44,8 +44,8 @@ class _Arrows(NamedTuple):
 
 
 def scene_figure(scene: Scene, *, renderer_name: str = "auto") -> Figure:
-    """A scene in its stress-free shape: sets of elements by colours, supports by symbols, loads by arrows, what is
-    watched by stars; a legend names them all, with scale bar and axes.
+    """A scene in its stress-free shape: sets of elements by colours, supports by symbols, loads by arrows, connectors
+    by lines, what is watched by stars; a legend names them all, with scale bar and axes.
 
     Arrows are as long as the largest force of their load where its history is largest; loads are not compared with each
     other. `renderer_name` is "auto", "vtk" or "matplotlib".
@@ -59,7 +59,9 @@ def scene_figure(scene: Scene, *, renderer_name: str = "auto") -> Figure:
         arrows += _arrows(load, nodes, factors[np.argmax(np.abs(factors))] * np.asarray(nodal))
     size = float(window_of([view.project(nodes)]).size.max())
     tails = [_tails(view, size, each) for each in arrows]
-    window = window_of([view.project(nodes), *(tail for tail in tails if len(tail))], margin=0.06)
+    ends = [found.reshape(-1, 3) for item in scene.items if len(found := item.segments(scene.mesh))]
+    seen = [view.project(nodes), *(tail for tail in tails if len(tail)), *map(view.project, ends)]
+    window = window_of(seen, margin=0.06)
     with matplotlib.rc_context(STYLE):
         return _figure(scene, view, window, list(zip(arrows, tails, strict=True)), renderer_name)
 
@@ -84,6 +86,7 @@ def _figure(scene: Scene, view: View, window: Window, arrows, renderer_name: str
     entries += _draw_supports(panel, scene, view)
     for position, (each, tails) in enumerate(arrows):
         entries.append(_draw_arrows(panel, view, each, tails, _LOAD_COLOURS[position % len(_LOAD_COLOURS)]))
+    entries += _draw_items(panel, scene, view)
     entries += _draw_watched(panel, scene, view)
     entries += [_words(text) for text in _without_place(scene)]
     divisor, unit = length_unit(scene)
@@ -132,6 +135,29 @@ def _draw_supports(panel: Axes, scene: Scene, view: View) -> list[Line2D]:
             at[:, 0], at[:, 1], **style, markerfacecolor="white" if kind != "clamped" else colour, zorder=3
         )
         line.set_label(f"{kind}: {_named(scene, nodes)}{_count(len(nodes), 'node')}")
+        drawn.append(line)
+    return drawn
+
+
+def _draw_items(panel: Axes, scene: Scene, view: View) -> list[Line2D]:
+    """Lines from end to end of connectors and the like, of one look for each of them."""
+    drawn = []
+    for position, item in enumerate(scene.items):
+        segments = item.segments(scene.mesh)
+        if not len(segments):
+            continue
+        style = {
+            "color": COLOURS[(position + 2) % len(COLOURS)],
+            "lw": 1.0,
+            "marker": "o",
+            "markersize": 2.5,
+            "zorder": 4,
+        }
+        for segment in _some(segments, _MOST_SYMBOLS):
+            at = view.project(segment)
+            (line,) = panel.plot(at[:, 0], at[:, 1], **style)
+        name = "" if item.name is None else f" {plain(item.name)}"
+        line.set_label(f"{item.kind}{name}: {len(segments)}")
         drawn.append(line)
     return drawn
 
@@ -195,6 +221,8 @@ def _draw_watched(panel: Axes, scene: Scene, view: View) -> list[Line2D]:
     nodes, triangles = np.asarray(scene.mesh.nodes), scene.mesh.triangles
     places = {}
     for label, number, component in scene.watch:
+        if isinstance(number, str):
+            continue
         at = nodes[number] if component in _OF_NODES else nodes[triangles[number]].mean(axis=0)
         places.setdefault(tuple(at), []).append(label)
     drawn = []

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxshell.model.connectors import CONNECTORS
+from jaxshell.model.connectors.ends import Nodes, Point, Space
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.history import History
 from jaxshell.model.loads import LOADS
@@ -24,7 +25,7 @@ from jaxshell.model.supports import Support
 from jaxshell.numerics.frozen import Frozen
 from jaxshell.results.checked import has, read_text, write_array, write_attribute, write_text
 
-_PARTS = (Mesh, PointMass, Ply, Cylindrical, Support, History, Initial, RayleighDamping)
+_PARTS = (Mesh, PointMass, Ply, Cylindrical, Support, History, Initial, RayleighDamping, Nodes, Point, Space)
 _KINDS = {kind.__name__: kind for kind in (*_PARTS, *SECTIONS, *MATERIALS, *LOADS, *CONNECTORS, *OBSTACLES)}
 _ITEMS = ("supports", "loads", "masses", "connectors", "obstacles")
 """What a scene has several of. Of the last three nothing is written where there are none: older files have none."""
@@ -137,7 +138,8 @@ def _read_object(group) -> Any:
             fields[name] = _read_item(item)
     if kind is Mesh:  # as it was when it was stored
         nodes, triangles = fields.pop("nodes"), fields.pop("connectivity")
-        return Mesh(nodes, triangles, coincident="allow", **fields)
+        points = int(fields.pop("points", 0))
+        return Mesh(nodes, triangles, coincident="allow", points=points, **fields)
     return kind(**fields)
 
 

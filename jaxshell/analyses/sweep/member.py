@@ -1,5 +1,6 @@
 """One member of a sweep before it runs: checked, and taken apart into its numbers and the structure of its program."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -84,5 +85,4 @@ def is_float(leaf) -> bool:
 
 def unnamed(scene: Scene) -> Scene:
     """The scene without its name and the suggestions of how it is run, which are no part of a program."""
-    values = {name: getattr(scene, name) for name in ("mesh", "section", "supports", "loads", "initial", "damping")}
-    return Scene(**values, watch=scene.watch, name="member")
+    return dataclasses.replace(scene, name="member", defaults=None)

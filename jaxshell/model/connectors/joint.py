@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.model.connectors.base import Connector
-from jaxshell.model.contribution import Constraint, Place
+from jaxshell.model.contribution import Constraint, Place, Surface, gradient_between
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sets import SetName, check_on_mesh
 from jaxshell.numerics.checks import check_text, is_concrete
@@ -48,6 +48,21 @@ class Joint(Connector):
             size = float(np.linalg.norm(np.ptp(nodes, axis=0)))
             self.check_places(apart, _TOGETHER * size)
 
+    def holds(self, mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray]]:
+        """What its conditions hold where nothing has moved."""
+        m, found = mesh.n_elements, []
+        size = jnp.linalg.norm(jnp.ptp(mesh.nodes, axis=0))
+        surface = Surface(mesh.nodes, mesh.triangles, jnp.zeros(m), jnp.zeros(m), jnp.zeros((m, 3)), size)
+        for part in self.parts():
+            if isinstance(part, Constraint):
+                nodes = part.groups(mesh.triangles).array
+                R = jnp.broadcast_to(jnp.eye(3), (*nodes.shape, 3, 3))
+                place, data = Place(mesh.nodes[nodes], R, jnp.zeros(len(nodes))), part.data(surface)
+                slopes = jax.vmap(lambda *of_group, part=part: _slopes(part, *of_group))(data, place)
+                rows = np.asarray(slopes).reshape(len(nodes), part.count, -1)
+                found += list(zip(nodes, rows, strict=True))
+        return found
+
     def check_places(self, apart: np.ndarray, near: float) -> None:
         """Raise ValueError where the distances (k,) of the pairs do not fit; `near` counts as none."""
         if self.joins_places and (apart > near).any():
@@ -56,6 +71,11 @@ class Joint(Connector):
                 f"A {self.kind} joins nodes in one place, but {self.a.array[k]} and {self.b.array[k]} are "
                 f"{apart[k]:.4g} apart: put a point there (Mesh.with_points) and let a RigidBody carry it."
             )
+
+
+def _slopes(part: Constraint, data, place: Place) -> Float[Array, "p c 6"]:
+    """Derivatives of the conditions of one group."""
+    return gradient_between(lambda place: part.conditions(data, place), place)
 
 
 def named(kind: str, name: str | None) -> str | None:

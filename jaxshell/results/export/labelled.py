@@ -13,6 +13,7 @@ from jaxshell.results.solution import Solution
 
 _COORDINATES = ("watched_component", "watched_number", "watched_units", "held_node", "held_dof", "position")
 """Besides those that number or name the entries of a dimension."""
+_WATCHED = "node or element, or the name of a connector or an obstacle"
 NODAL = ("displacement", "rotation", "velocity")
 
 
@@ -83,10 +84,11 @@ def _histories(solution: Solution) -> dict[str, tuple]:
         }
     if scene.watch:
         labels, numbers, components = zip(*scene.watch, strict=True)
+        named = any(isinstance(number, str) for number in numbers)
         units = [unit(scene, history.quantity) for history in watched(solution).values()]
         found |= {
             "watch": ("watch", list(labels)),
-            "watched_number": ("watch", list(numbers), {"long_name": "node or element"}),
+            "watched_number": ("watch", [*map(str, numbers)] if named else list(numbers), {"long_name": _WATCHED}),
             "watched_component": ("watch", list(components)),
             "watched": (
                 ("watch", "time"),

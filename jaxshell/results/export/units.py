@@ -1,6 +1,7 @@
 """SI units of what is exported; scenes that do not say that they are in SI have none."""
 
 from jaxshell.model.gauge import gauge_of
+from jaxshell.model.quantities import QUANTITIES as OF_ITEMS
 from jaxshell.model.scene import Scene
 
 QUANTITIES = {
@@ -18,6 +19,7 @@ QUANTITIES = {
     "linear momentum": "kg m/s",
     "angular momentum": "kg m^2/s",
     "force": "N",
+    "moment": "N m",
     "index": "1",
     "none": "",
 }
@@ -35,7 +37,14 @@ def with_unit(name: str, scene: Scene, quantity: str) -> str:
     return f"{name} [{found}]" if found not in ("", "1") else name
 
 
+def symbol_of(component: str) -> str:
+    """The SI unit of a watched component."""
+    return QUANTITIES[watched_quantity(component)]
+
+
 def watched_quantity(component: str) -> str:
     """The kind of quantity that a watched component is of."""
+    if component in OF_ITEMS:
+        return OF_ITEMS[component].kind
     gauge = gauge_of(component)
     return {"u": "length", "v": "velocity"}[component[0]] if gauge is None else gauge.quantity
