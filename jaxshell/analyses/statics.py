@@ -87,7 +87,10 @@ def proportional(scene: Scene) -> Scene:
     def histories(scene):
         return [scene.loads[i].history for i in loads] + [scene.supports[i].history for i in moving]
 
-    return eqx.tree_at(histories, scene, [LoadFactor() for _ in (*loads, *moving)])
+    scene = eqx.tree_at(histories, scene, [LoadFactor() for _ in (*loads, *moving)])
+    at_end = {i: scene.loads[i].for_statics() for i in loads}
+    changed = [i for i in loads if at_end[i] is not scene.loads[i]]
+    return eqx.tree_at(lambda scene: [scene.loads[i] for i in changed], scene, [at_end[i] for i in changed])
 
 
 def solve_static(
