@@ -42,21 +42,29 @@ if TYPE_CHECKING:
         TorsionSpring,
     )
     from jaxshell.model.damping import RayleighDamping
+    from jaxshell.model.imperfection import RandomField
+    from jaxshell.model.initial import Initial
     from jaxshell.model.loads import (
+        DeadPressure,
         EdgeForce,
+        EdgeMoment,
+        FollowerEdgeForce,
+        FollowerForce,
         Gravity,
         History,
+        HydrostaticPressure,
         InitialStrain,
         NodalForce,
         NodalMoment,
         NormalForce,
         Pressure,
         Thermal,
+        Traction,
     )
     from jaxshell.model.masses import PointMass
     from jaxshell.model.materials import Isotropic, Orthotropic
     from jaxshell.model.mesh import Mesh, structured_triangles
-    from jaxshell.model.scene import Initial, Scene
+    from jaxshell.model.scene import Scene
     from jaxshell.model.sections import Cylindrical, GeneralSection, Laminate, Ply, Section
     from jaxshell.model.supports import Support, clamped, pinned, symmetry
     from jaxshell.numerics.plane_stress import principal, von_mises
@@ -92,19 +100,24 @@ __all__ = [
     "Checkpointed",
     "Cylindrical",
     "Dashpot",
+    "DeadPressure",
     "Dense",
     "Distributed",
     "EdgeForce",
+    "EdgeMoment",
     "EdgeTie",
     "ElasticSupport",
     "Energy",
     "EnergyMomentum",
+    "FollowerEdgeForce",
+    "FollowerForce",
     "GeneralSection",
     "GeneralizedAlpha",
     "GeneralizedEnergyMomentum",
     "Gravity",
     "Hinge",
     "History",
+    "HydrostaticPressure",
     "Initial",
     "InitialStrain",
     "Isotropic",
@@ -124,6 +137,7 @@ __all__ = [
     "Ply",
     "PointMass",
     "Pressure",
+    "RandomField",
     "RayleighDamping",
     "RigidBar",
     "RigidBody",
@@ -144,6 +158,7 @@ __all__ = [
     "Thermal",
     "Tie",
     "TorsionSpring",
+    "Traction",
     "VTKHDFWriter",
     "clamped",
     "failure_index",
@@ -184,16 +199,24 @@ _HOMES = {
     "analyses.driver": ["SimulationError"],
     "solvers.linear_solver": ["KLU", "Dense", "Pardiso"],
     "model.damping": ["RayleighDamping"],
+    "model.imperfection": ["RandomField"],
+    "model.initial": ["Initial"],
     "model.loads": [
+        "DeadPressure",
         "EdgeForce",
+        "EdgeMoment",
+        "FollowerEdgeForce",
+        "FollowerForce",
         "Gravity",
         "History",
+        "HydrostaticPressure",
         "InitialStrain",
         "NodalForce",
         "NodalMoment",
         "NormalForce",
         "Pressure",
         "Thermal",
+        "Traction",
     ],
     "model.materials": ["Isotropic", "Orthotropic"],
     "model.mesh": ["Mesh", "structured_triangles"],
@@ -227,7 +250,7 @@ _HOMES = {
     ],
     "results.smoothing": ["nodal", "smooth_patches"],
     "results.stresses": ["stresses", "stresses_of"],
-    "model.scene": ["Initial", "Scene"],
+    "model.scene": ["Scene"],
     "plotting": ["plotting"],
     "scenes": ["scenes"],
     "model.sections": ["Cylindrical", "GeneralSection", "Laminate", "Ply", "Section"],

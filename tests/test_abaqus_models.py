@@ -1,5 +1,6 @@
 """Models of Abaqus and CalculiX: each card against the same scene stated by hand, and errors with file and line."""
 
+import dataclasses
 from pathlib import Path
 
 import jax
@@ -226,6 +227,32 @@ def test_a_dynamic_step_with_amplitudes(tmp_path):
     assert_alike(scene, by_hand)
     assert (scene.defaults.dt, scene.defaults.t_end) == (1e-3, 2e-2)
     assert same(scene, through_toml(tmp_path))
+
+
+def test_loads_that_turn_of_a_liquid_and_on_a_part_of_the_shell(tmp_path):
+    """HP is 6 at z = 1 and 0 at z = 3: a weight of 3 per volume; on SPOS it pushes against the normal."""
+    surface = "*SURFACE, NAME=TOP, TYPE=ELEMENT\nRIGHT, SPOS\n"
+    loads = "*CLOAD, FOLLOWER\nTIP, 1, 5.\nTIP, 3, 2.\n*DLOAD\nLEFT, HP, 6., 3., 1.\nRIGHT, GRAV, 9.81, 0., 0., -2.\n"
+    loads += "*DSLOAD\nTOP, HP, 6., 3., 1.\n"
+    dead = "*{}, FOLLOWER=NO, CONSTANT RESULTANT=YES\n{}, TRVEC, 10., 3., 0., 4.\n"
+    loads += dead.format("DLOAD", "LEFT") + dead.format("DSLOAD", "TOP")
+    text = MESH + STEEL + PLAIN + HELD + surface + DYNAMIC + loads
+    scene = read(tmp_path, text + END)
+    expected = [
+        js.FollowerForce([2, 5], [5.0, 0, 2.0]),
+        js.HydrostaticPressure(3.0, 3.0, elements=[0, 1]),
+        js.Gravity([0, 0, -9.81], elements=[2, 3]),
+        js.HydrostaticPressure(-3.0, 3.0, elements=[2, 3]),
+        js.Traction([6.0, 0, 8.0], elements=[0, 1]),
+        js.Traction([6.0, 0, 8.0], elements=[2, 3]),
+    ]
+    by_hand = dataclasses.replace(scene, loads=tuple(expected))
+    assert same(scene, by_hand) and same(scene, through_toml(tmp_path))
+    for stray in ("*CLOAD, FOLLOWER\nTIP, 4, 5.\n", "*DLOAD\nLEFT, TRVEC, 10., 3., 0., 4.\n"):
+        with pytest.raises(ValueError, match="FOLLOWER"):
+            read(tmp_path, text + stray + END)
+    with pytest.raises(ValueError, match="HP needs its pressure at another height"):
+        read(tmp_path, text + "*DLOAD\nLEFT, HP, 6., 3., 3.\n" + END)
 
 
 def test_the_amplitude_of_a_step_may_be_said(tmp_path):

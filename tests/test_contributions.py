@@ -71,6 +71,8 @@ def everything():
         js.Pressure(3.0, RAMP),
         js.NormalForce([4, 11], [0.7, -0.2], RAMP),
         Pull(Frozen([3, 11]), jnp.array(2.0), RAMP),
+        js.FollowerEdgeForce([[8, 11], [10, 11]], [0.4, -0.3, 0.5], RAMP),
+        js.HydrostaticPressure(20.0, js.History([0.0, 2.0], [0.8, 0.5]), RAMP, elements=[3, 6, 9], up=[2.0, 0.3, 1.0]),
     )
 
 

@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import inspect
+import itertools
 from pathlib import Path
 
 import h5py
@@ -16,7 +17,7 @@ jax.config.update("jax_enable_x64", True)
 from test_scene_file import BASE, read  # noqa: E402
 
 from jaxshell.command import check, completion, init, plot, run, schema  # noqa: E402
-from jaxshell.files import scene_file, sections  # noqa: E402
+from jaxshell.files import imperfection, scene_file, sections  # noqa: E402
 from jaxshell.files.initial import MOTION  # noqa: E402
 from jaxshell.files.items import ITEM_KINDS  # noqa: E402
 from jaxshell.files.run_keys import ANALYSES, KEYS  # noqa: E402
@@ -42,6 +43,8 @@ def test_the_page_names_every_key():
     keys |= arguments(*GENERATORS.values(), *kinds, Ply, Laminate.from_layup, Thermal, InitialStrain, RayleighDamping)
     keys |= {load.value for load in scene_file.LOAD_KINDS.values()} | {"ratios", "modes", "frequencies", "hold"}
     keys |= {"point", *(key for kinds in ITEM_KINDS.values() for key in arguments(*kinds.values()))}
+    keys |= {key for load in scene_file.LOAD_KINDS.values() for key in scene_file.load_keys(load)}
+    keys |= {imperfection.IMPERFECTION, *itertools.chain(*imperfection.KEYS.values())}
     absent = {key for key in keys if f"`{key}`" not in PAGE and f"`{key} " not in PAGE}
     absent -= {key for key in ("angle", "axis", "origin", "along", "times", "values") if f"{key}," in PAGE}
     assert not absent
@@ -49,7 +52,14 @@ def test_the_page_names_every_key():
 
 
 def test_the_page_names_every_kind():
-    kinds = [*GENERATORS, *scene_file.LOAD_KINDS, *sections.SECTION_KINDS, *sections.MATERIAL_KINDS, *scene_file.HOLD]
+    kinds = [
+        *imperfection.KEYS,
+        *GENERATORS,
+        *scene_file.LOAD_KINDS,
+        *sections.SECTION_KINDS,
+        *sections.MATERIAL_KINDS,
+        *scene_file.HOLD,
+    ]
     kinds += [kind for items in ITEM_KINDS.values() for kind in items]
     assert not [kind for kind in (*kinds, *ANALYSES) if f'"{kind}"' not in PAGE]
     assert not [table for table in scene_file.KNOWN if f"[{table}" not in PAGE and f"`{table}`" not in PAGE]
@@ -130,8 +140,8 @@ angular_velocity = [0, 0, 3]
     ("text", "message"),
     [
         ("[[initial]]\nvelocity = [1, 0, 0]\n[[initial]]\nnodes = [2]\nvelocity = [0, 1, 0]\n",
-         r"\[\[initial\]\] number 2: moves node 2 \(and 0 others\), which number 1 moves already"),
-        ("[[initial]]\nnodes = [2]\n", r"\[\[initial\]\] number 1: says no motion: give velocity or angular_velocity"),
+         r"\[\[initial\]\] motion number 2: moves node 2 \(and 0 others\), which number 1 moves already"),
+        ("[[initial]]\nnodes = [2]\n", r"\[\[initial\]\] motion number 1: says no motion: give velocity or angular_velocity"),
         ("[[initial]]\nnodes = [2]\nspeed = 1\n", "number 1: has the unknown key 'speed'"),
         ("[initial]\nplane = { x = 9.0 }\nvelocity = [1, 0, 0]\n", r"\[initial\] No node fulfils plane"),
     ],

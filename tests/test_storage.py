@@ -15,9 +15,10 @@ jax.config.update("jax_enable_x64", True)
 
 from synthetic import synthetic_solution  # noqa: E402
 
+from jaxshell.model.initial import Initial  # noqa: E402
 from jaxshell.model.loads import EdgeForce, Gravity, History, NodalForce, NodalMoment, NormalForce, Pressure  # noqa: E402
 from jaxshell.model.mesh import Mesh  # noqa: E402
-from jaxshell.model.scene import Defaults, Initial, Scene  # noqa: E402
+from jaxshell.model.scene import Defaults, Scene  # noqa: E402
 from jaxshell.model.sections import Section  # noqa: E402
 from jaxshell.model.supports import Support, clamped  # noqa: E402
 from jaxshell.results import hdf5 as storage  # noqa: E402

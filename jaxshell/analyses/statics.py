@@ -90,7 +90,10 @@ def proportional(scene: Scene) -> Scene:
         given = [scene.loads[i].history for i in loads] + [scene.supports[i].history for i in moving]
         return given + [getattr(scene, name)[i].history for name, i in driven]
 
-    return eqx.tree_at(histories, scene, [LoadFactor() for _ in (*loads, *moving, *driven)])
+    scene = eqx.tree_at(histories, scene, [LoadFactor() for _ in (*loads, *moving, *driven)])
+    at_end = {i: scene.loads[i].for_statics() for i in loads}
+    changed = [i for i in loads if at_end[i] is not scene.loads[i]]
+    return eqx.tree_at(lambda scene: [scene.loads[i] for i in changed], scene, [at_end[i] for i in changed])
 
 
 def solve_static(

@@ -149,6 +149,7 @@ class _Cases:
     """Makes the case of a member: the scene file with its values, run as the command line and the file say."""
 
     def __init__(self, options: argparse.Namespace, factors: set[str]):
+        from jaxshell.files.imperfection import IMPERFECTION
         from jaxshell.files.scene_file import read_content, scene_of
 
         self.options, self.factors = options, frozenset(factors)
@@ -157,7 +158,8 @@ class _Cases:
         self.name = scene.name
         settings = settled(options, settings, scene)
         self.controlled, self.save_every = settings.step_tolerance is not None, settings.save_every
-        self.mesh = scene.mesh
+        # The modes of an imperfection are each member's own.
+        self.mesh = None if IMPERFECTION in self.content["mesh"] else scene.mesh
         self.responses = [f"{label} {word}" for label, _, _ in scene.watch for word in ("min", "max", "end")]
 
     def check(self, plan) -> None:

@@ -134,6 +134,10 @@ def _hold(dofs: Iterable[int]) -> str | list[str]:
     return _HOLDS.get(names, list(names))
 
 
+_VALUES = {"follower force": "components"}
+"""Keys of a load's value, where that is not its kind."""
+
+
 class Forces:
     """Forces and moments on nodes, which add up."""
 
@@ -142,7 +146,7 @@ class Forces:
         self._of_nodes: dict[tuple[str, Any], dict[int, np.ndarray]] = {}
 
     def add(self, kind: str, target: Target, vector, history: Any) -> None:
-        """`kind` is "force" or "moment", `history` a name to tell it by."""
+        """`kind` is "force", "moment" or "follower force", `history` a name to tell it by."""
         vector = np.asarray(vector, float)
         if isinstance(target, str):
             self._of_sets[kind, target, history] = self._of_sets.get((kind, target, history), np.zeros(3)) + vector
@@ -155,12 +159,14 @@ class Forces:
         """[[loads]]: one for each set, and one for all single nodes of a history."""
         found = []
         for (kind, target, history), vector in self._of_sets.items():
-            found.append(with_history({"kind": kind, "nodes": target, kind: vector.tolist()}, histories[history]))
+            table = {"kind": kind, "nodes": target, _VALUES.get(kind, kind): vector.tolist()}
+            found.append(with_history(table, histories[history]))
         for (kind, history), nodes in self._of_nodes.items():
             order = sorted(nodes)
             vectors = [nodes[node].tolist() for node in order]
             value = vectors[0] if all(vector == vectors[0] for vector in vectors) else vectors
-            found.append(with_history({"kind": kind, "nodes": order, kind: value}, histories[history]))
+            table = {"kind": kind, "nodes": order, _VALUES.get(kind, kind): value}
+            found.append(with_history(table, histories[history]))
         return found
 
 

@@ -6,14 +6,15 @@
                    coincident ("allow"): see `Mesh.read`;
                    element_sets = { name = [numbers] or { plane, box } for the elements' centroids };
                    node_sets = { name = [numbers] or { nearest, plane, box, boundary } };
-                   side_sets = { name = [[node, node], ...] or { ... } for the boundary's edges between such nodes }
+                   side_sets = { name = [[node, node], ...] or { ... } for the boundary's edges between such nodes };
+                   imperfection: see `jaxshell.files.imperfection`
     [section]      thickness, young_modulus, poisson_ratio, density; kind = "isotropic" where it is not left out
     [materials.X], laminates, regions, [[thermal]], [[initial_strain]]: see `jaxshell.files.sections`
     [[supports]]   nodes; hold = "clamped", "pinned", "symmetry x" or list; displacement or acceleration, or rotation
                    with angle and about; history
-    [[loads]]      kind = "force", "moment", "edge force", "gravity", "pressure" or "normal force"; nodes, edges of an
-                   edge force (or inner = true for inner edges between the nodes), elements of a pressure; its force,
-                   moment, acceleration, pressure or magnitude; history
+    [[loads]]      kind, one of those that `jaxshell.model.loads.LOADS` lists; nodes, edges (or inner = true for inner
+                   edges between the nodes), or elements of what acts on the surface; its value, such as force, moment,
+                   acceleration, pressure, components; history; and what the kind takes besides
     [[connectors]], [[obstacles]]: see `jaxshell.files.items`
     [damping]      alpha, beta, or ratios with modes (counted from 1) or frequencies: see `RayleighDamping`
     [watch]        label = { nearest or node, component }, or of a stress or section force, as "von mises top" or "Mxx",
@@ -37,6 +38,7 @@ from typing import Any
 import numpy as np
 
 from jaxshell.files.history import read_history
+from jaxshell.files.imperfection import IMPERFECTION, imperfect_mesh
 from jaxshell.files.initial import read_initial
 from jaxshell.files.items import ITEM_KINDS, read_items
 from jaxshell.files.run_keys import RunSettings
@@ -86,7 +88,8 @@ def read_content(path) -> dict:
 
 
 def scene_of(content: dict, path, mesh: Mesh | None = None) -> tuple[Scene, RunSettings]:
-    """As `read_scene_file`, of the content of the file at `path`; its mesh is not made again where it is given."""
+    """As `read_scene_file`, of the content of the file at `path`; its mesh is not made again where it is given, without
+    imperfection."""
     try:
         return _scene(content, Path(path), mesh)
     except (ValueError, TypeError) as error:
@@ -111,13 +114,16 @@ def _scene(content: dict, path: Path, mesh: Mesh | None) -> tuple[Scene, RunSett
         defaults=_defaults(settings, top.text("units", "")),
         **items,
     )
+    given = top.table("mesh", optional=True)
+    if IMPERFECTION in given.content:
+        scene = given.call(dataclasses.replace, scene, mesh=imperfect_mesh(given, scene))
     if "damping" in content:
         scene = dataclasses.replace(scene, damping=_damping(top.table("damping"), scene))
     return scene, settings
 
 
 def _mesh(table: Table, folder: Path) -> Mesh:
-    made = {key: value for key, value in table.content.items() if key not in SETS}
+    made = {key: value for key, value in table.content.items() if key not in (*SETS, IMPERFECTION)}
     mesh = _plain_mesh(Table(table.name, made), folder)
     given = {}
     for key, chosen in SETS.items():
@@ -148,7 +154,7 @@ SETS = {"node_sets": _set_of_nodes, "element_sets": chosen_elements, "side_sets"
 
 def _plain_mesh(table: Table, folder: Path) -> Mesh:
     if "file" in table.content:
-        table.only("file", *READING, *SETS)
+        table.only("file", *READING, *SETS, IMPERFECTION)
         file = folder / table.text("file")
         if not is_file(file):
             raise ValueError(f"[mesh] There is no file {shown(str(file))}.")
@@ -159,7 +165,7 @@ def _plain_mesh(table: Table, folder: Path) -> Mesh:
         raise ValueError(f"[mesh] generator must be one of {choices}, but it is {name!r}.{meant(name, GENERATORS)}")
     generator = GENERATORS[name]
     arguments = inspect.signature(generator).parameters
-    table.only("generator", *arguments, *SETS)
+    table.only("generator", *arguments, *SETS, IMPERFECTION)
     for argument in arguments.values():
         if argument.default is argument.empty:
             table.get(argument.name)
@@ -184,14 +190,32 @@ def _support(table: Table, mesh: Mesh) -> Support:
 
 def _load(table: Table, mesh: Mesh) -> Load:
     load = LOAD_KINDS[chosen_kind(table, LOAD_KINDS)]
+    more = load_keys(load)
+    where = {"shell": load.sets, "edges": (*NODE_SELECTORS, "edges", "inner"), "nodes": NODE_SELECTORS}[load.acts_on]
+    table.only("kind", load.value, "history", *more, *where)
+    given = {load.value: table.get(load.value), "history": read_history(table)}
+    given |= {key: _value_or_history(table, key) for key, needed in more.items() if needed or key in table.content}
     if load.acts_on == "shell":
-        table.only("kind", load.value, "history", *load.sets)
-        chosen = {key: chosen_elements(table, key, mesh) for key in load.sets if key in table.content}
-        return table.call(load, table.get(load.value), read_history(table), **chosen)
-    on_edges = load.acts_on == "edges"
-    table.only("kind", *NODE_SELECTORS, *(["edges", "inner"] if on_edges else []), load.value, "history")
-    where = chosen_edges(table, mesh) if on_edges else chosen_nodes(table, mesh)
-    return table.call(load, where, table.get(load.value), read_history(table))
+        given |= {key: chosen_elements(table, key, mesh) for key in load.sets if key in table.content}
+        return table.call(load, **given)
+    chosen = chosen_edges if load.acts_on == "edges" else chosen_nodes
+    return table.call(load, chosen(table, mesh), **given)
+
+
+def load_keys(load: type[Load]) -> dict[str, bool]:
+    """The keys of a kind of load besides its value, its history and where it acts, and whether it needs them."""
+    parameters = inspect.signature(load).parameters.values()
+    known = {load.value, "history", *load.sets}
+    return {each.name: each.default is each.empty for each in parameters if each.name not in known}
+
+
+def _value_or_history(table: Table, key: str) -> Any:
+    """A key's value, or where it is a table of times and values the history that these are."""
+    if not isinstance(table.get(key), dict):
+        return table.get(key)
+    inner = table.table(key)
+    inner.only("times", "values")
+    return table.call(History, inner.get("times"), inner.get("values"))
 
 
 def _initial_strains(top: Table, mesh: Mesh) -> list[Load]:

@@ -9,14 +9,16 @@ import json
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from jaxshell.files.imperfection import IMPERFECTION, KEYS
 from jaxshell.files.initial import MOTION
 from jaxshell.files.items import ITEM_KINDS, POINT
 from jaxshell.files.run_keys import ANALYSES, OF, RunSettings
-from jaxshell.files.scene_file import HOLD, LOAD_KINDS, READING, SETS
+from jaxshell.files.scene_file import HOLD, LOAD_KINDS, READING, SETS, load_keys
 from jaxshell.files.sections import MATERIAL_KINDS, SECTION_KINDS
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.generators import GENERATORS
 from jaxshell.model.loads import InitialStrain, Thermal
+from jaxshell.model.loads.follower_edge import AXES
 from jaxshell.model.sections import Laminate, Ply
 from jaxshell.model.supports import DOFS
 
@@ -57,6 +59,7 @@ def _said(schema: Schema, text: str) -> Schema:
 
 
 _ONE_OR_EACH = _any(NUMBER, NUMBERS)
+_NUMBER_OF_MODE = {"type": "integer", "minimum": 1}
 _PLACES = {
     "plane": _said(_table(dict.fromkeys("xyz", NUMBER)), "a plane of coordinates, such as { x = 0.0 }"),
     "box": _said(
@@ -95,6 +98,15 @@ _KNOWN: dict[str, Schema] = {
     **dict.fromkeys(("A", "B", "D", "thermal", "strain", "curvature"), ARRAYS),
 }
 """Arguments that are more than a number, or one for each element."""
+_OF_LOADS: dict[str, Schema] = {
+    "direction": _said(_any(VECTOR, _list(VECTOR)), "the first axis of the components, in the surface"),
+    "axes": _said({"enum": list(AXES)}, "what the components are along"),
+    "level": _said(
+        _any(NUMBER, _table({"times": NUMBERS, "values": NUMBERS}, ["times", "values"])), "a height along up"
+    ),
+    "up": _said(VECTOR, "against gravity; default [0, 0, 1]"),
+}
+"""Keys of some kinds of loads."""
 
 
 def schema() -> Schema:
@@ -142,6 +154,7 @@ def _mesh() -> Schema:
         "side_sets": _any(_PAIRS, of_sides),
     }
     sets = {key: {"type": "object", "additionalProperties": kinds[key]} for key in SETS}
+    sets[IMPERFECTION] = _any(_imperfection(), _list(_imperfection()))
     halves = {"enum": ["split", "error"]}
     reading = {"quads": halves, "second_order": halves, "merge": NUMBER, "orient": SWITCH}
     reading["coincident"] = {"enum": ["error", "allow"]}
@@ -151,6 +164,20 @@ def _mesh() -> Schema:
         made["required"].insert(0, "generator")
         variants.append(made)
     return _said(_any(*variants), "a generator with its arguments, or a mesh file")
+
+
+def _imperfection() -> Schema:
+    known = {
+        "amplitude": _said(_ONE_OR_EACH, "the largest displacement, of a random field the standard deviation"),
+        "mode": _said(_any(_NUMBER_OF_MODE, _list(_NUMBER_OF_MODE)), "counted from 1; default 1"),
+        "correlation_length": NUMBER,
+        "seed": COUNT,
+    }
+    variants = []
+    for kind, keys in KEYS.items():
+        needed = [key for key in keys if key not in ("mode", "seed")]
+        variants.append(_table({"kind": {"const": kind}, **{key: known[key] for key in keys}}, ["kind", *needed]))
+    return _any(*variants)
 
 
 def _material(kind: Any) -> Schema:
@@ -191,9 +218,10 @@ def _support() -> Schema:
 
 def _load(load: Any) -> Schema:
     chosen = {"nodes": _NODES, "edges": _NODES | _EDGES, "shell": {"elements": _ELEMENTS} if load.sets else {}}
-    value = _any(NUMBER, ARRAYS)
+    more, value = load_keys(load), _any(NUMBER, ARRAYS)
     properties = {"kind": {"const": load.kind}, **chosen[load.acts_on], load.value: value, "history": _HISTORY}
-    return _table(properties, ["kind", load.value])
+    properties |= {key: _OF_LOADS[key] for key in more}
+    return _table(properties, ["kind", load.value, *(key for key, needed in more.items() if needed)])
 
 
 def _item(kind: Any) -> Schema:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from jaxshell.model import repair
 from jaxshell.model.cells import Cells, Numbering, surface
+from jaxshell.model.imperfection import moved
 from jaxshell.model.mesh_checks import check_coincident, check_connectivity, check_indices, check_shapes, check_sides
 from jaxshell.model.mesh_file import read_cells
 from jaxshell.model.sets import Sets
@@ -232,6 +233,23 @@ class Mesh(eqx.Module):
     def of_points(cls, points: Mapping[str, Any]) -> "Mesh":
         """A mesh without a shell, for scenes of rigid bodies and point masses: points as in `with_points`."""
         return cls(np.zeros((0, 3)), np.zeros((0, 3), int)).with_points(points)
+
+    def with_imperfection(self, mode, amplitude) -> "Mesh":
+        """The mesh with its nodes moved: the stress-free shape of a shell that was not made as it was drawn.
+
+        Arguments:
+            mode: displacements (n, 3), or (n, 6) with rotations, which are left aside: such as `modes.shapes[0]` of
+                `linear_buckling` or `natural_frequencies`, whose sign is nobody's choice; or a `RandomField`. Or
+                several of them, as a list.
+            amplitude: [length] of the largest displacement, of a `RandomField` the standard deviation; of several
+                modes one for each. Negative ones move the other way.
+
+        Sets stay. Differentiable in nodes, mode and amplitude, but where two nodes share the largest displacement.
+        Raises ValueError for other shapes, NaN, a mode that moves nothing, and where triangles become slivers.
+        """
+        nodes = moved(self.nodes, self.triangles, mode, amplitude)
+        sets = {name: getattr(self, name) for name in ("node_sets", "element_sets", "side_sets")}
+        return Mesh(nodes, self.connectivity, coincident="allow", points=self.points, **sets)
 
     def nodes_where(self, condition: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """Indices of the nodes whose coordinates fulfil `condition(x)`, x of shape (3, n).

@@ -14,6 +14,7 @@ from jaxshell.model.connectors.rigid_body import check_bodies
 from jaxshell.model.contribution import Contribution
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.gauge import check_gauge, gauge_of
+from jaxshell.model.initial import Initial
 from jaxshell.model.items import Item, check_names, check_quantity, named
 from jaxshell.model.loads import InitialStrains, Load
 from jaxshell.model.masses import Masses, PointMass
@@ -26,110 +27,15 @@ from jaxshell.model.supports import DOFS, Support, slanted_axes
 from jaxshell.numerics.checks import (
     check_choice,
     check_count,
-    check_finite,
     check_kind,
     check_number,
     check_positive_number,
-    check_shape,
     check_text,
-    float_array,
-    is_concrete,
-    optional_floats,
     shown,
 )
 from jaxshell.numerics.frozen import Frozen
 
 WATCHABLE = ("ux", "uy", "uz", "vx", "vy", "vz")
-
-
-class Initial(eqx.Module):
-    """The state at the start, where it differs from rest in the stress-free shape.
-
-    Arguments (each may be None; all differentiable):
-        velocities: (n, 3) nodal velocities [length/time].
-        angular_velocities: (n, 3) nodal angular velocities in space [rad/time].
-        displacements: (n, 3) nodal displacements from the stress-free shape [length].
-        rotations: (n, 3, 3) nodal rotation matrices from the stress-free shape.
-
-    Raises ValueError for NaN and for matrices that are no rotations.
-    """
-
-    velocities: Float[jax.Array, "n 3"] | None = eqx.field(
-        converter=optional_floats("initial velocities"), default=None
-    )
-    angular_velocities: Float[jax.Array, "n 3"] | None = eqx.field(
-        converter=optional_floats("initial angular_velocities"), default=None
-    )
-    displacements: Float[jax.Array, "n 3"] | None = eqx.field(
-        converter=optional_floats("initial displacements"), default=None
-    )
-    rotations: Float[jax.Array, "n 3 3"] | None = eqx.field(
-        converter=optional_floats("initial rotations"), default=None
-    )
-
-    def __check_init__(self):
-        for name in ("velocities", "angular_velocities", "displacements", "rotations"):
-            if getattr(self, name) is not None:
-                check_shape(f"initial {name}", getattr(self, name), (None, 3, 3) if name == "rotations" else (None, 3))
-                check_finite(f"initial {name}", getattr(self, name))
-        if self.rotations is not None and is_concrete(self.rotations):
-            _check_rotations(np.asarray(self.rotations))
-
-    def check(self, n_nodes: int) -> None:
-        """Raise ValueError for values of another number of nodes; called when the scene is made."""
-        for name in ("velocities", "angular_velocities", "displacements", "rotations"):
-            value = getattr(self, name)
-            if value is not None:
-                check_shape(f"initial {name}", value, (n_nodes, *value.shape[1:]))
-
-    def completed(self, mesh: Mesh, bodies: "Sequence[RigidBody]") -> "Initial":
-        """With rows for the mesh's points where there are none: references move with the nodes of their bodies.
-
-        Other points are at rest.
-        """
-        given = {name: getattr(self, name) for name in ("velocities", "angular_velocities", "displacements")}
-        given["rotations"] = self.rotations
-        known = {len(value) for value in given.values() if value is not None and value.ndim > 1}
-        if known != {mesh.n_nodes - mesh.points} or not mesh.points:
-            return self
-        n, points = mesh.n_nodes - mesh.points, mesh.points
-        zeros, eyes = jnp.zeros((points, 3)), jnp.broadcast_to(jnp.eye(3), (points, 3, 3))
-        for name, value in given.items():
-            if value is not None:
-                given[name] = jnp.concatenate([value, eyes if name == "rotations" else zeros])
-        for body in bodies:
-            nodes = body.followers[body.followers < n]
-            if body.master >= n and nodes.size:
-                _follow(given, mesh, body.master, nodes)
-        return Initial(**given)
-
-    @classmethod
-    def rigid(cls, mesh: Mesh, velocity=(0.0, 0.0, 0.0), angular_velocity=(0.0, 0.0, 0.0), about=None) -> "Initial":
-        """A rigid motion: `velocity` (3,) of the point `about` (3,) (default: the mean of the nodes), and a spin."""
-        check_kind("mesh", mesh, Mesh, "a jaxshell.Mesh")
-        velocity, spin = _vector("velocity", velocity), _vector("angular_velocity", angular_velocity)
-        centre = jnp.mean(mesh.nodes, axis=0) if about is None else _vector("about", about)
-        velocities = velocity + jnp.cross(spin, mesh.nodes - centre)
-        return cls(velocities, jnp.broadcast_to(spin, mesh.nodes.shape))
-
-
-def _follow(given: dict, mesh: Mesh, master: int, nodes: np.ndarray) -> None:
-    """Put into `given` the motion of a reference that moves with these nodes of its body, as their mean says."""
-    arms = mesh.nodes[nodes] - mesh.nodes[master]
-    if given["rotations"] is not None:
-        turned = given["rotations"][nodes[0]]
-        given["rotations"] = given["rotations"].at[master].set(turned)
-        arms = arms @ turned.T
-    if given["displacements"] is not None:
-        places = mesh.nodes[nodes] + given["displacements"][nodes] - arms
-        given["displacements"] = given["displacements"].at[master].set(places.mean(axis=0) - mesh.nodes[master])
-    spin = jnp.zeros(3)
-    if given["angular_velocities"] is not None:
-        spin = given["angular_velocities"][nodes].mean(axis=0)
-        given["angular_velocities"] = given["angular_velocities"].at[master].set(spin)
-    if given["velocities"] is not None:
-        moved = given["velocities"][nodes] - jnp.cross(spin, arms)
-        given["velocities"] = given["velocities"].at[master].set(moved.mean(axis=0))
 
 
 class Defaults(NamedTuple):
@@ -387,13 +293,6 @@ class Scene(eqx.Module):
         return Frozen(self.held_dofs)
 
 
-def _vector(name: str, value) -> Float[jax.Array, "3"]:
-    vector = float_array(value, name)
-    check_shape(name, vector, (3,))
-    check_finite(name, vector)
-    return vector
-
-
 def _objects(name: str, value, kind: type, public: str) -> tuple[Any, ...]:
     """One object or a sequence of them as a tuple. Raises ValueError for any that is no `kind`."""
     if isinstance(value, kind):
@@ -486,14 +385,6 @@ def _check_defaults(defaults) -> None:
             raise ValueError(f"defaults.{name} must be a tuple, but it is {shown(getattr(defaults, name))}.")
     for time in defaults.picture_times:
         check_number("picture_times", time)
-
-
-def _check_rotations(R: np.ndarray) -> None:
-    error = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
-    bad = (error > 1e-8) | (np.linalg.det(R) < 0)
-    if bad.any():
-        node = int(np.argmax(bad))
-        raise ValueError(f"initial rotations: the matrix of node {node} is no rotation: {R[node].tolist()}.")
 
 
 def _repeats(numbers: np.ndarray) -> np.ndarray:

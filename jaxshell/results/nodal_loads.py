@@ -40,7 +40,8 @@ def _nodal(scene: Scene) -> list[Float[Array, "n 6"]]:
         if isinstance(load, DeadLoad):
             found.append(load.nodal(x0, triangles, surface.mass_per_area))
         elif isinstance(load, Contribution):
-            found.append(_of_contribution(eqx.tree_at(lambda held: held.history, load, History.constant()), surface))
+            load = eqx.tree_at(lambda held: held.history, load.for_statics(), History.constant())
+            found.append(_of_contribution(load, surface))
     return found
 
 

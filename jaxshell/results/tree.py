@@ -13,12 +13,13 @@ from jaxshell.model.connectors import CONNECTORS
 from jaxshell.model.connectors.ends import Nodes, Point, Space
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.history import History
+from jaxshell.model.initial import Initial
 from jaxshell.model.loads import LOADS
 from jaxshell.model.masses import PointMass
 from jaxshell.model.materials import MATERIALS
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.obstacles import OBSTACLES
-from jaxshell.model.scene import Defaults, Initial, Scene
+from jaxshell.model.scene import Defaults, Scene
 from jaxshell.model.sections import SECTIONS, Cylindrical, Ply
 from jaxshell.model.sets import Sets
 from jaxshell.model.supports import Support

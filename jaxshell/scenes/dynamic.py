@@ -7,9 +7,10 @@ ASSUMPTION: then compare with the papers' curves in kind, not digit by digit.
 import numpy as np
 
 from jaxshell.model import generators
+from jaxshell.model.initial import Initial
 from jaxshell.model.loads import EdgeForce, History, NodalForce
 from jaxshell.model.mesh import Mesh, chain, grid, structured_triangles
-from jaxshell.model.scene import Defaults, Initial, Scene
+from jaxshell.model.scene import Defaults, Scene
 from jaxshell.model.sections import Section
 from jaxshell.model.supports import pinned
 from jaxshell.numerics.checks import check_number

@@ -172,24 +172,25 @@ class Loads:
     # --- loads -------------------------------------------------------------------------------------------
 
     def concentrated(self, card: Card, scope: Scope) -> None:
-        """*CLOAD."""
-        if "FOLLOWER" in card.options:
-            self._notes.missing.append(f"*CLOAD, FOLLOWER ({card.where})")
-            return
+        """*CLOAD; with FOLLOWER forces that turn with their nodes."""
+        turns = "FOLLOWER" in card.options
         history, scale = self._course(card)
         for line in card.lines:
             target, nodes = self._nodes(line, scope, f"*CLOAD ({line.where})")
             dof = line.whole(1)
             if not 1 <= dof <= 6:
                 raise ValueError(f"{line.where}: degrees of freedom are 1 to 6 here, but it is {dof}.")
-            if nodes.size:
+            if turns and dof > 3:
+                self._notes.missing.append(f"*CLOAD, FOLLOWER of degree of freedom {dof} ({line.where})")
+            elif nodes.size:
                 vector = np.zeros(3)
                 vector[(dof - 1) % 3] = scale * line.number(2)
-                self._forces.add("force" if dof <= 3 else "moment", target, vector, history)
+                kind = "follower force" if turns else "force" if dof <= 3 else "moment"
+                self._forces.add(kind, target, vector, history)
                 self._notes.carried["nodal forces and moments"] += 1
 
     def distributed(self, card: Card, scope: Scope) -> None:
-        """*DLOAD: pressure along the elements' normals, and gravity."""
+        """*DLOAD: pressure along the elements' normals, that of a liquid, tractions that do not turn, and gravity."""
         history, scale = self._course(card)
         for line in card.lines:
             kind = line.text(1).upper()
@@ -197,10 +198,10 @@ class Loads:
             target, elements = (
                 self._geometry.elements(line.text(0), scope, line.where) if line.text(0) else (every, np.array(every))
             )
-            if kind == "P":
-                self._pressure(target, elements, scale * line.number(2), history)
+            if kind in ("P", "HP", "TRVEC"):
+                self._on_elements(card, line, (target, elements, 1.0), scale, history)
             elif kind == "GRAV":
-                self._gravity(line, elements, scale, history)
+                self._gravity(line, (target, elements), scale, history)
             else:
                 self._notes.missing.append(f"{card.title} of type {kind} ({line.where})")
 
@@ -208,36 +209,49 @@ class Loads:
         """*DSLOAD: a pressure pushes onto the side that the surface is, against its normal."""
         history, scale = self._course(card)
         for line in card.lines:
-            if line.text(1).upper() != "P":
+            if line.text(1).upper() not in ("P", "HP", "TRVEC"):
                 self._notes.missing.append(f"*DSLOAD of type {line.text(1)} ({line.where})")
                 continue
             for target, elements, side in self._geometry.surface(line.text(0), scope, line.where):
                 if side not in ("SPOS", "SNEG"):
                     raise ValueError(f"{line.where}: surface {line.text(0)} has the side {side!r}, not SPOS or SNEG.")
                 sign = -1.0 if side == "SPOS" else 1.0
-                self._pressure(target, elements, sign * scale * line.number(2), history)
+                self._on_elements(card, line, (target, elements, sign), scale, history)
 
-    def _pressure(self, target: Target, elements: np.ndarray, value: float, history: Any) -> None:
+    def _on_elements(
+        self, card: Card, line: Line, on: tuple[Target, np.ndarray, float], scale: float, history: Any
+    ) -> None:
+        """P, HP or TRVEC; `on` is (target, its elements, the sign of what pushes along their normals)."""
+        target, elements, sign = on
+        kind, value = line.text(1).upper(), scale * line.number(2)
         if not elements.size or not value:
             return
-        table: dict[str, Any] = {"kind": "pressure"}
+        table: dict[str, Any] = {"kind": "pressure", "pressure": sign * value}
+        if kind == "HP":
+            level, point = line.number(3), line.number(4)
+            if level == point:
+                raise ValueError(f"{line.where}: HP needs its pressure at another height than that where it is zero.")
+            table = {"kind": "hydrostatic pressure", "weight": sign * value / (level - point), "level": level}
+        elif kind == "TRVEC":
+            fixed = card.choice("FOLLOWER", "YES") == "NO" and card.choice("CONSTANTRESULTANT", "NO") == "YES"
+            if not fixed or "ORIENTATION" in card.options:
+                self._notes.missing.append(
+                    f"{card.title} of type TRVEC ({line.where}), which is carried over with FOLLOWER=NO, CONSTANT "
+                    "RESULTANT=YES and without ORIENTATION"
+                )
+                return
+            table = {"kind": "traction", "traction": (value * _direction(line)).tolist()}
+        self._add_on(target, elements, table, history, "pressures" if kind == "P" else f"loads of type {kind}")
+
+    def _gravity(self, line: Line, on: tuple[Target, np.ndarray], scale: float, history: Any) -> None:
+        vector = scale * line.number(2) * _direction(line)
+        self._add_on(*on, {"kind": "gravity", "acceleration": vector.tolist()}, history, "gravity")
+
+    def _add_on(self, target: Target, elements: np.ndarray, table: dict[str, Any], history: Any, what: str) -> None:
         if elements.size < self._geometry.mesh.n_elements:
             table["elements"] = target if isinstance(target, str) else list(target)
-        self._on_shell.append(with_history({**table, "pressure": value}, self._histories[history]))
-        self._notes.carried["pressures"] += 1
-
-    def _gravity(self, line: Line, elements: np.ndarray, scale: float, history: Any) -> None:
-        if elements.size < self._geometry.mesh.n_elements:
-            self._notes.missing.append(f"GRAV on a part of the shell ({line.where})")
-            return
-        direction = np.array([line.number(i, 0.0) for i in (3, 4, 5)])
-        size = np.linalg.norm(direction)
-        if not size > 0:
-            raise ValueError(f"{line.where}: GRAV needs a direction.")
-        vector = scale * line.number(2) * direction / size
-        table = {"kind": "gravity", "acceleration": vector.tolist()}
         self._on_shell.append(with_history(table, self._histories[history]))
-        self._notes.carried["gravity"] += 1
+        self._notes.carried[what] += 1
 
     # --- heat and velocities -----------------------------------------------------------------------------
 
@@ -284,3 +298,12 @@ class Loads:
         if len(values) != 1 or not seen.all():
             raise ValueError(f"{card.where}: {card.title} is read where all nodes of the shell have one temperature.")
         return values.pop()
+
+
+def _direction(line: Line) -> np.ndarray:
+    """The unit vector of the fields after the magnitude. Raises ValueError for one of no length."""
+    direction = np.array([line.number(i, 0.0) for i in (3, 4, 5)])
+    size = np.linalg.norm(direction)
+    if not size > 0:
+        raise ValueError(f"{line.where}: {line.text(1).upper()} needs a direction.")
+    return direction / size

@@ -2,20 +2,30 @@
 
 from jaxshell.model.history import History
 from jaxshell.model.loads.base import DeadLoad, Load
-from jaxshell.model.loads.edge import EdgeForce
+from jaxshell.model.loads.edge import EdgeForce, EdgeMoment
+from jaxshell.model.loads.follower_edge import FollowerEdgeForce
+from jaxshell.model.loads.follower_force import FollowerForce
 from jaxshell.model.loads.gravity import Gravity
+from jaxshell.model.loads.hydrostatic import HydrostaticPressure
 from jaxshell.model.loads.initial_strain import InitialStrain, InitialStrains, Thermal
 from jaxshell.model.loads.nodal import NodalForce, NodalMoment
 from jaxshell.model.loads.normal_force import NormalForce
 from jaxshell.model.loads.pressure import Pressure
+from jaxshell.model.loads.traction import DeadPressure, Traction
 
 LOADS: tuple[type[Load], ...] = (
     NodalForce,
     NodalMoment,
     EdgeForce,
+    EdgeMoment,
     Gravity,
     Pressure,
+    HydrostaticPressure,
+    DeadPressure,
+    Traction,
     NormalForce,
+    FollowerForce,
+    FollowerEdgeForce,
     Thermal,
     InitialStrain,
 )
@@ -24,9 +34,14 @@ LOADS: tuple[type[Load], ...] = (
 __all__ = [
     "LOADS",
     "DeadLoad",
+    "DeadPressure",
     "EdgeForce",
+    "EdgeMoment",
+    "FollowerEdgeForce",
+    "FollowerForce",
     "Gravity",
     "History",
+    "HydrostaticPressure",
     "InitialStrain",
     "InitialStrains",
     "Load",
@@ -35,4 +50,5 @@ __all__ = [
     "NormalForce",
     "Pressure",
     "Thermal",
+    "Traction",
 ]

@@ -4,6 +4,7 @@ import abc
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxshell.model.history import History
@@ -27,6 +28,10 @@ class Load(OfSets):
 
     def check(self, mesh: Mesh) -> None:
         """Raise ValueError where the load does not fit the mesh; called when the scene is made."""
+
+    def for_statics(self) -> "Load":
+        """The load with what varies in time besides `history` as it is in the end: there the load factor scales it."""
+        return self
 
 
 class DeadLoad(Load):
@@ -67,3 +72,16 @@ def number_of_elements(elements: Frozen | SetName | None, mesh: Mesh) -> int:
         return mesh.n_elements
     check_on_mesh("elements", "element", elements.array, mesh.n_elements)
     return len(elements.array)
+
+
+def on_corners(share: Float[Array, "k 3"], triangles, n_nodes: int) -> Float[Array, "n 6"]:
+    """The same force on all three corners of each of k elements, as forces and moments on all nodes."""
+    forces = jnp.zeros((n_nodes, 6))
+    for corner in range(3):
+        forces = forces.at[triangles[:, corner], :3].add(share)
+    return forces
+
+
+def chosen(elements: Frozen | SetName | None, values):
+    """Of an array with one row for each element of the mesh the rows of those that are meant; None is all."""
+    return values if elements is None else values[elements.array]

@@ -2,42 +2,58 @@
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
 from jaxshell.model.history import History
-from jaxshell.model.loads.base import DeadLoad, given_history
+from jaxshell.model.loads.base import DeadLoad, chosen, given_history, number_of_elements, on_corners
+from jaxshell.model.mesh import Mesh
+from jaxshell.model.sets import SetName, elements_or_name
 from jaxshell.numerics.checks import check_finite, check_shape, float_array
+from jaxshell.numerics.frozen import Frozen
 
 
 class Gravity(DeadLoad):
-    """A uniform acceleration field, `acceleration` (3,) [length/time²]."""
+    """A uniform acceleration field.
+
+    Arguments:
+        acceleration: (3,) [length/time²]. Differentiable.
+        history: how it varies in time; None is constant.
+        elements: numbers of the elements whose mass it acts on, or the name of a set; None is all of the shell, and
+            point masses and rigid bodies.
+
+    Its potential is not recorded: its work counts as external work. Raises ValueError for NaN and other shapes.
+    """
 
     kind: ClassVar[str] = "gravity"
     value: ClassVar[str] = "acceleration"
     acts_on: ClassVar[str] = "shell"
+    sets: ClassVar[dict[str, str]] = {"elements": "element"}
 
     acceleration: Float[jax.Array, "3"]
     history: History
+    elements: Frozen | SetName | None = eqx.field(static=True)
 
-    def __init__(self, acceleration, history: History | None = None):
+    def __init__(self, acceleration, history: History | None = None, elements=None):
         self.acceleration = float_array(acceleration, "acceleration")
         self.history = given_history(history)
+        self.elements = elements_or_name(elements)
 
     def __check_init__(self):
         check_shape("acceleration", self.acceleration, (3,))
         check_finite("acceleration", self.acceleration)
 
+    def check(self, mesh: Mesh) -> None:
+        number_of_elements(self.elements, mesh)
+
     def nodal(self, x0, triangles, mass_per_area) -> Float[jax.Array, "n 6"]:
         """(n, 6) force and moment on each node for factor 1."""
+        triangles, mass_per_area = chosen(self.elements, triangles), chosen(self.elements, mass_per_area)
         a, b, c = x0[triangles[:, 0]], x0[triangles[:, 1]], x0[triangles[:, 2]]
         area = 0.5 * jnp.linalg.norm(jnp.cross(b - a, c - a), axis=1)
-        share = (mass_per_area * area / 3)[:, None] * self.acceleration[None]
-        forces = jnp.zeros((x0.shape[0], 6))
-        for corner in range(3):
-            forces = forces.at[triangles[:, corner], :3].add(share)
-        return forces
+        return on_corners((mass_per_area * area / 3)[:, None] * self.acceleration[None], triangles, x0.shape[0])
 
-    def on_masses(self, mass: Float[jax.Array, " k"]) -> Float[jax.Array, "k 3"]:
-        return mass[:, None] * self.acceleration
+    def on_masses(self, mass: Float[jax.Array, " k"]) -> Float[jax.Array, "k 3"] | None:
+        return mass[:, None] * self.acceleration if self.elements is None else None

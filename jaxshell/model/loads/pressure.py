@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.model.contribution import Contribution, Place, Surface
 from jaxshell.model.history import History
-from jaxshell.model.loads.base import Load, given_history, number_of_elements
+from jaxshell.model.loads.base import Load, chosen, given_history, number_of_elements
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sets import SetName, elements_or_name
 from jaxshell.numerics.checks import check_finite, check_one_or_each, float_array
@@ -54,7 +54,7 @@ class Pressure(Load, Contribution):
             raise ValueError(f"pressure must be one value or {count}, but has shape {self.pressure.shape}.")
 
     def groups(self, triangles: np.ndarray) -> Frozen:
-        return Frozen(triangles if self.elements is None else triangles[self.elements.array])
+        return Frozen(chosen(self.elements, triangles))
 
     def data(self, surface: Surface) -> Float[Array, " m"]:
         """The pressure on every element that it acts on."""
