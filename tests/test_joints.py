@@ -108,44 +108,46 @@ def test_a_hinge_carries_no_moment():
         mesh,
         PANEL,
         [js.clamped([0, 1]), js.Support(tip, ("uz",)), js.Support(tip[:1], ("uy",))],
-        [js.NodalForce(middle, (0.0, 0.0, -1e-4))],
+        [js.NodalForce(middle, (0.0, 0.0, -1e-2))],
         connectors=hinges,
     )
     solution = js.solve_static(scene, [1.0])
     carried = js.reactions(solution)[-1]
     # The second part is a simple beam with its load in the middle: half of it at the roller, half at the hinge.
-    np.testing.assert_allclose(jnp.sum(carried[tip, 2]), 1e-4, rtol=1e-6)
-    np.testing.assert_allclose(jnp.sum(carried[:2, 2]), 1e-4, rtol=1e-6)
-    np.testing.assert_allclose(jnp.sum(carried[:2, 4]), -1e-4 * 0.2, rtol=1e-6)
+    np.testing.assert_allclose(jnp.sum(carried[tip, 2]), 1e-2, rtol=1e-6)
+    np.testing.assert_allclose(jnp.sum(carried[:2, 2]), 1e-2, rtol=1e-6)
+    np.testing.assert_allclose(jnp.sum(carried[:2, 4]), -1e-2 * 0.2, rtol=1e-6)
 
 
-def test_meshes_that_do_not_match_are_tied_as_one():
-    """A strip of two parts with one and three elements across, in constant tension: exact."""
-    left, right = generators.rectangle(0.1, 0.1, (1, 1)), generators.rectangle(0.1, 0.1, (1, 3))
+def two_parts(across: int, *connectors) -> js.Scene:
+    """A cantilever of two parts, the second three elements wide, with a force at its tip; no parts without connectors."""
+    left, right = generators.rectangle(0.1, 0.1, (2, across)), generators.rectangle(0.1, 0.1, (2, 3))
     n = left.n_nodes
     nodes = jnp.concatenate([left.nodes, right.nodes + jnp.array([0.1, 0.0, 0.0])])
-    mesh = js.Mesh(nodes, np.concatenate([left.triangles, right.triangles + n]), coincident="allow")
-    seam = n + np.arange(4)
-    plain = js.Section(thickness=2e-3, young_modulus=70e9, poisson_ratio=0.0, density=2700.0)
-    ends = mesh.nodes_where(lambda x: x[0] > 0.199)
-    rim = np.stack([ends[:-1], ends[1:]], axis=1)
-    inner = [js.EdgeTie(seam[1:3], [[2, 3]]), js.Tie([2, 3], seam[[0, 3]])]
-    scene = js.Scene(
-        mesh,
-        plain,
-        [js.Support([0, 1], ("ux", "uz", "rx", "ry", "rz")), js.Support([0], ("uy",))],
-        [js.EdgeForce(rim, (1.4e3, 0.0, 0.0))],
-        connectors=inner,
-    )
-    found = js.solve_static(scene, [1.0]).displacements[-1]
-    np.testing.assert_allclose(found[:, 0], 1e-5 * np.asarray(nodes)[:, 0], atol=2e-11)
+    triangles = np.concatenate([left.triangles, right.triangles + n])
+    mesh = js.Mesh(nodes, triangles, coincident="allow") if connectors else js.Mesh.merged(nodes, triangles, 1e-9)
+    tip, root = (mesh.nodes_where(lambda x, at=at: abs(x[0] - at) < 1e-9) for at in (0.2, 0.0))
+    load = js.NodalForce(tip, (0.0, 0.0, 1e-3))
+    return js.Scene(mesh, PANEL, [js.clamped(root)], [load], connectors=connectors, watch={"tip": (int(tip[0]), "uz")})
+
+
+def test_an_edge_tie_joins_meshes():
+    """As one mesh where they match; near it where they do not."""
+    one = js.solve_static(two_parts(3), [1.0]).watched["tip"][-1]
+    rim = np.arange(8, 12)
+    same = js.EdgeTie(12 + np.arange(4), np.stack([rim[:-1], rim[1:]], axis=1))
+    tied = js.solve_static(two_parts(3, same), [1.0]).watched["tip"][-1]
+    np.testing.assert_allclose(tied, one, rtol=1e-6)
+    other = [js.EdgeTie(6 + np.arange(1, 3), [[4, 5]]), js.Tie([4, 5], [6, 9])]
+    tied = js.solve_static(two_parts(1, *other), [1.0]).watched["tip"][-1]
+    np.testing.assert_allclose(tied, one, rtol=5e-2)
 
 
 def test_a_distributed_force_is_its_resultant():
     mesh = generators.rectangle(0.2, 0.1, (2, 2))
     rim = mesh.nodes_where(lambda x: x[0] > 0.199)
     face = np.append(rim, mesh.nearest_node((0.1, 0.05, 0.0)))
-    force, moment = np.array([2e-4, 1e-4, 3e-4]), np.array([1e-5, -2e-5, 0.5e-5])
+    force, moment = np.array([2e-2, 1e-2, 3e-2]), np.array([1e-3, -2e-3, 0.5e-3])
     scene = js.Scene(
         mesh,
         PANEL,
@@ -155,9 +157,9 @@ def test_a_distributed_force_is_its_resultant():
     )
     carried = np.asarray(js.reactions(js.solve_static(scene, [1.0]))[-1])
     x = np.asarray(scene.mesh.nodes)
-    np.testing.assert_allclose(carried[:, :3].sum(axis=0), -force, atol=1e-9 * 3e-4)
+    np.testing.assert_allclose(carried[:, :3].sum(axis=0), -force, atol=1e-6 * 3e-2)
     about = (np.cross(x - x[-1], carried[:, :3]) + carried[:, 3:]).sum(axis=0)
-    np.testing.assert_allclose(about, -moment, atol=2e-4 * 2e-5)
+    np.testing.assert_allclose(about, -moment, atol=1e-4 * 2e-3)
 
 
 def test_what_cannot_be_is_refused_by_name():

@@ -17,6 +17,7 @@ from jaxshell.assembly.tables import Tables
 from jaxshell.gradients import Gradients, merge, scan_steps
 from jaxshell.methods.base import Method, Observation, Solvers
 from jaxshell.methods.state import State
+from jaxshell.methods.static import Static, held_reactions
 from jaxshell.model.scene import WATCHABLE, Scene
 from jaxshell.numerics.compiled import compiled
 from jaxshell.solvers.iteration import STEP_TOO_SMALL, SUCCESSFUL, Memory
@@ -143,6 +144,8 @@ def record(model: Model, plan: Plan, before, state, reaction, iterations, factor
     values = [value(number, component) for _, number, component in plan.watch]
     values = jnp.stack(values) if values else jnp.zeros(0)
     observed = plan.method.observe(model, state)
+    if reaction is None and model.tables.multipliers and isinstance(plan.method, Static):
+        reaction = held_reactions(model, state)  # frames do not hold the multipliers
     return Record(state.time, values, observed, iterations, factorizations, done, reaction)
 
 

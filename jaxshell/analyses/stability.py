@@ -145,7 +145,9 @@ def critical(model: Model, solvers: Solvers, before: StaticState, state: StaticS
 def _start(model: Model) -> Float[Array, " nf"]:
     """Forces and moments that no mode is free of, the same in every run."""
     values = jax.random.normal(jax.random.key(0), model.tables.free.shape)
-    return values * jnp.where(model.tables.free % 6 >= 3, model.size / jnp.sqrt(model.x0.shape[0]), 1.0)
+    values = values * jnp.where(model.tables.free % 6 >= 3, model.size / jnp.sqrt(model.x0.shape[0]), 1.0)
+    # Nothing opens joints.
+    return values if model.tables.constrained is None else values.at[model.tables.constrained].set(0.0)
 
 
 def _material_product(model: Model, state: StaticState):

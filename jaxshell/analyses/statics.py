@@ -282,8 +282,11 @@ def reactions(solution: Solution) -> Float[Array, "*k n 6"]:
     Raises ValueError for a run in time without reactions=True: frames do not hold the inertial forces.
     """
     if solution.reaction is not None:
-        n, steps = solution.scene.mesh.n_nodes, solution.reaction.shape[:-1]
-        nodal = jnp.zeros((*steps, 6 * n)).at[..., solution.scene.held_dofs].set(solution.reaction)
+        carried = solution.reaction
+        if solution.analysis == "static":
+            carried = carried[_steps_of_frames(solution)]
+        n, steps = solution.scene.mesh.n_nodes, carried.shape[:-1]
+        nodal = jnp.zeros((*steps, 6 * n)).at[..., solution.scene.held_dofs].set(carried)
         nodal = nodal.reshape(*steps, n, 6)
         if solution.scene.turned is None:
             return nodal
@@ -299,6 +302,18 @@ def reactions(solution: Solution) -> Float[Array, "*k n 6"]:
     tables, _ = analyse(structure_of(solution.scene))
     frames = solution.displacements, solution.rotations, solution.frame_times
     return _reactions(proportional(solution.scene), tables, *frames)
+
+
+def _steps_of_frames(solution: Solution) -> np.ndarray:
+    """Which steps the frames are of."""
+    steps, frames = len(solution.times), len(solution.frame_times)
+    if steps == frames:
+        return np.arange(steps)
+    times, found, at = np.asarray(solution.times), [], 0
+    for time in np.asarray(solution.frame_times):
+        at += int(np.argmax(times[at:] == time))
+        found.append(at)
+    return np.array(found)
 
 
 @compiled

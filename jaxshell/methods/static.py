@@ -182,9 +182,18 @@ def _corners(d: Float[Array, "3 3"], edges: Float[Array, "3 3"]) -> Float[Array,
 
 def reactions_at(model: Model, d, R, time) -> Float[Array, "n 6"]:
     """Forces and moments of the supports on the shell in equilibrium: f_int - f_ext at the held degrees of freedom."""
+    carried = jnp.zeros(6 * d.shape[0]).at[model.tables.held].set(_carried(model, d, R, time)).reshape(-1, 6)
+    return carried if model.elimination is None else model.elimination.nodal_forces(carried)
+
+
+def held_reactions(model: Model, state: StaticState) -> Float[Array, " nh"]:
+    """What supports carry in equilibrium, along the held degrees of freedom. The state knows the multipliers."""
+    return _carried(model, state.d, state.R, state.time)[: model.tables.supported]
+
+
+def _carried(model: Model, d, R, time) -> Float[Array, " nh"]:
+    """The residual f_int - f_ext at the held degrees of freedom."""
     method, zero = Static(), jnp.zeros(())
     state = StaticState(jnp.asarray(time), d, R, jnp.zeros_like(d), zero)
     residual = method.balance(model, state, method.begin(model, state, zero), jnp.zeros((d.shape[0], 6))).residual
-    is_held = jnp.zeros(residual.size).at[model.tables.held].set(1.0).reshape(residual.shape)
-    carried = is_held * residual
-    return carried if model.elimination is None else model.elimination.nodal_forces(carried)
+    return residual.reshape(-1)[model.tables.held]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.model.connectors.base import Connector
-from jaxshell.model.connectors.joint import named
+from jaxshell.model.connectors.joint import held_by_conditions, named
 from jaxshell.model.contribution import Constraint, Contribution, Place
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sets import SetName, check_on_mesh, nodes_or_name
@@ -88,6 +88,9 @@ class Distributed(Connector):
     @property
     def turning(self) -> np.ndarray:
         return self._reference
+
+    def holds(self, mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray]]:
+        return held_by_conditions(self, mesh)
 
     def parts(self) -> tuple[Contribution, ...]:
         k = len(self.nodes.array)

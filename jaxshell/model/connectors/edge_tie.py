@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.model.connectors.base import Connector
-from jaxshell.model.connectors.joint import named, twist
+from jaxshell.model.connectors.joint import held_by_conditions, named, twist
 from jaxshell.model.contribution import Constraint, Contribution, Place
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sets import SetName, check_on_mesh, nodes_or_name
@@ -82,6 +82,9 @@ class EdgeTie(Connector):
     @property
     def turning(self) -> np.ndarray:
         return np.concatenate([self.nodes.array, self.edges.array.ravel()])
+
+    def holds(self, mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray]]:
+        return held_by_conditions(self, mesh)
 
     def parts(self) -> tuple[Contribution, ...]:
         groups = Frozen(np.concatenate([self.nodes.array[:, None], self.edges.array], axis=1))

@@ -50,19 +50,7 @@ class Joint(Connector):
             self.check_places(apart, _TOGETHER * size)
 
     def holds(self, mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray]]:
-        """What its conditions hold where nothing has moved."""
-        m, found = mesh.n_elements, []
-        size = jnp.linalg.norm(jnp.ptp(mesh.nodes, axis=0))
-        surface = Surface(mesh.nodes, mesh.triangles, jnp.zeros(m), jnp.zeros(m), jnp.zeros((m, 3)), size)
-        for part in self.parts():
-            if isinstance(part, Constraint):
-                nodes = part.groups(mesh.triangles).array
-                R = jnp.broadcast_to(jnp.eye(3), (*nodes.shape, 3, 3))
-                place, data = Place(mesh.nodes[nodes], R, jnp.zeros(len(nodes))), part.data(surface)
-                slopes = jax.vmap(lambda *of_group, part=part: _slopes(part, *of_group))(data, place)
-                rows = np.asarray(slopes).reshape(len(nodes), part.count, -1)
-                found += list(zip(nodes, rows, strict=True))
-        return found
+        return held_by_conditions(self, mesh)
 
     def check_places(self, apart: np.ndarray, near: float) -> None:
         """Raise ValueError where the distances (k,) of the pairs do not fit; `near` counts as none."""
@@ -84,6 +72,22 @@ def named(kind: str, name: str | None) -> str | None:
     if name is not None:
         check_text(f"The name of a {kind}", name)
     return name
+
+
+def held_by_conditions(item: Connector, mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray]]:
+    """What the conditions of a connector hold where nothing has moved, as `Connector.holds`."""
+    m, found = mesh.n_elements, []
+    size = jnp.linalg.norm(jnp.ptp(mesh.nodes, axis=0))
+    surface = Surface(mesh.nodes, mesh.triangles, jnp.zeros(m), jnp.zeros(m), jnp.zeros((m, 3)), size)
+    for part in item.parts():
+        if isinstance(part, Constraint):
+            nodes = part.groups(mesh.triangles).array
+            R = jnp.broadcast_to(jnp.eye(3), (*nodes.shape, 3, 3))
+            place, data = Place(mesh.nodes[nodes], R, jnp.zeros(len(nodes))), part.data(surface)
+            slopes = jax.vmap(lambda *of_group, part=part: _slopes(part, *of_group))(data, place)
+            rows = np.asarray(slopes).reshape(len(nodes), part.count, -1)
+            found += list(zip(nodes, rows, strict=True))
+    return found
 
 
 def twist(first: Float[Array, "3 3"], second: Float[Array, "3 3"]) -> Float[Array, "3"]:
