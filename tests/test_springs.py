@@ -141,7 +141,7 @@ def test_what_resists_takes_energy_and_turns_nothing_as_a_whole(name):
         middle = jax.tree.map(lambda a, b: 0.5 * (a + b), start, end)
         rates = jax.jit(mean_rates)(start, end)
         np.testing.assert_allclose(rates, u / 0.1, rtol=1e-7)
-        force = jax.jit(part.resistance)(data, start, end, middle, rates)
+        force = jax.jit(lambda *given: part.resistance(*given))(data, start, end, middle, rates)
         assert -jnp.sum(force * rates) > 0
         if len(u) == 2:
             assert jnp.max(jnp.abs(jnp.sum(force[:, :3], axis=0))) < 1e-14
