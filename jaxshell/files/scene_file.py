@@ -48,6 +48,7 @@ from jaxshell.files.tables import Table
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.gauge import gauge_of
 from jaxshell.model.generators import GENERATORS
+from jaxshell.model.history import History
 from jaxshell.model.loads import LOADS, InitialStrain, InitialStrains, Load, Thermal
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.mesh_file import is_file
