@@ -142,7 +142,7 @@ STRUT = generators.rectangle(1.0, 0.2, (2, 1))
 
 def strut(load: float = 1.0) -> js.Scene:
     """A stiff strut on a hinge along its edge x = 0, which two torsion springs of 500 hold upright."""
-    base, top = STRUT.nodes_where(lambda x: x[:, 0] == 0.0), STRUT.nodes_where(lambda x: x[:, 0] == 1.0)
+    base, top = STRUT.nodes_where(lambda x: x[0] == 0.0), STRUT.nodes_where(lambda x: x[0] == 1.0)
     springs = js.TorsionSpring(base, None, (0.0, 1.0, 0.0), 500.0)
     force = js.NodalForce(top, [-load / len(top), 0.0, 0.0])
     return js.Scene(STRUT, THICK, [js.pinned(base), js.Support(top, ["uy"])], [force], connectors=[springs])
