@@ -116,14 +116,21 @@ def test_a_tangent_is_that_of_differences(facts, name):
 def test_the_closed_form_of_an_elastic_support_is_that_of_jax():
     part = Held(Frozen([1]), jnp.array([1.0, 2.0, 3.0]), None, None)
     data, start, end, u = moved(part, 0.3)
-    work = jnp.sum(part.mean_force(data, start, end) * u)
-    assert abs(work + part.energy(data, end) - part.energy(data, start)) < 1e-15
-    for tangent, force in (
-        (part.stiffness(data, end), part.force),
-        (part.mean_stiffness(data, start, end), lambda data, place: part.mean_force(data, start, place)),
-    ):
-        by_jax = jax.jacfwd(lambda change, force=force: force(data, displaced(end, change)).reshape(-1))(jnp.zeros(6))
-        np.testing.assert_allclose(tangent, by_jax, atol=1e-11)
+
+    def forces(change):
+        place = displaced(end, change)
+        return part.force(data, place).reshape(-1), part.mean_force(data, start, place).reshape(-1)
+
+    @jax.jit
+    def found():
+        change = part.energy(data, end) - part.energy(data, start)
+        tangents = part.stiffness(data, end), part.mean_stiffness(data, start, end)
+        return jnp.sum(part.mean_force(data, start, end) * u), change, tangents, jax.jacfwd(forces)(jnp.zeros(6))
+
+    work, change, tangents, by_jax = found()
+    assert abs(work + change) < 1e-15
+    for tangent, reference in zip(tangents, by_jax, strict=True):
+        np.testing.assert_allclose(tangent, reference, atol=1e-11)
 
 
 @pytest.mark.parametrize("name", RESISTING)
@@ -132,9 +139,9 @@ def test_what_resists_takes_energy_and_turns_nothing_as_a_whole(name):
     for scale in (1e-6, 0.3):
         data, start, end, u = moved(part, scale)
         middle = jax.tree.map(lambda a, b: 0.5 * (a + b), start, end)
-        rates = mean_rates(start, end)
+        rates = jax.jit(mean_rates)(start, end)
         np.testing.assert_allclose(rates, u / 0.1, rtol=1e-7)
-        force = part.resistance(data, start, end, middle, rates)
+        force = jax.jit(lambda *given: part.resistance(*given))(data, start, end, middle, rates)
         assert -jnp.sum(force * rates) > 0
         if len(u) == 2:
             assert jnp.max(jnp.abs(jnp.sum(force[:, :3], axis=0))) < 1e-14

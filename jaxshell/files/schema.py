@@ -95,6 +95,7 @@ _KNOWN: dict[str, Schema] = {
     "material": _said(TEXT, "the name of one of [materials]"),
     "layup": _said(TEXT, 'such as "[45/-45/0/90]s"'),
     "symmetric": SWITCH,
+    "dofs": _any(TEXT, _list(TEXT)),
     **dict.fromkeys(("A", "B", "D", "thermal", "strain", "curvature"), ARRAYS),
 }
 """Arguments that are more than a number, or one for each element."""
