@@ -42,11 +42,11 @@ class Surface(NamedTuple):
     normals: Float[Array, "m 3"]
     size: Float[Array, ""]
     """Of the shell [length], constant for derivatives."""
-    membrane_stiffness: Float[Array, "m 3 3"]
-    """A of the sections [force/length]."""
-    layers: Callable[[], Any]
+    membrane_stiffness: Any = None
+    """(m, 3, 3) A of the sections [force/length]. This and what follows is there of a whole scene only."""
+    layers: Callable[[], Any] = lambda: None
     """Gives the sections' `Layers`, or None where a section has none: called by those that need a thickness."""
-    connectivity: np.ndarray
+    connectivity: Any = None
     """`triangles` as static numbers."""
 
 
