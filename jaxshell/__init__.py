@@ -64,6 +64,7 @@ if TYPE_CHECKING:
     from jaxshell.model.masses import PointMass
     from jaxshell.model.materials import Isotropic, Orthotropic
     from jaxshell.model.mesh import Mesh, structured_triangles
+    from jaxshell.model.obstacles import Box, Cylinder, Plane, Sphere
     from jaxshell.model.scene import Scene
     from jaxshell.model.sections import Cylindrical, GeneralSection, Laminate, Ply, Section
     from jaxshell.model.supports import Support, clamped, pinned, symmetry
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
     from jaxshell.results.failure import Strengths, failure_index, failure_index_of, ks
     from jaxshell.results.mass_properties import MassProperties, mass_properties
     from jaxshell.results.output import Output
+    from jaxshell.results.penetration import Penetration, penetration
     from jaxshell.results.section_forces import (
         SectionForces,
         SectionStrains,
@@ -95,9 +97,11 @@ __all__ = [
     "KLU",
     "RESULTS",
     "Bathe",
+    "Box",
     "BucklingModes",
     "CentralDifference",
     "Checkpointed",
+    "Cylinder",
     "Cylindrical",
     "Dashpot",
     "DeadPressure",
@@ -134,6 +138,8 @@ __all__ = [
     "Orthotropic",
     "Output",
     "Pardiso",
+    "Penetration",
+    "Plane",
     "Ply",
     "PointMass",
     "Pressure",
@@ -148,6 +154,7 @@ __all__ = [
     "SimulationError",
     "Slider",
     "Solution",
+    "Sphere",
     "Spherical",
     "Spring",
     "StepControl",
@@ -170,6 +177,7 @@ __all__ = [
     "methods",
     "natural_frequencies",
     "nodal",
+    "penetration",
     "pinned",
     "plotting",
     "principal",
@@ -239,6 +247,7 @@ _HOMES = {
     "numerics.plane_stress": ["principal", "von_mises"],
     "results.failure": ["Strengths", "failure_index", "failure_index_of", "ks"],
     "results.mass_properties": ["MassProperties", "mass_properties"],
+    "results.penetration": ["Penetration", "penetration"],
     "results.section_forces": [
         "SectionForces",
         "SectionStrains",
@@ -250,6 +259,7 @@ _HOMES = {
     ],
     "results.smoothing": ["nodal", "smooth_patches"],
     "results.stresses": ["stresses", "stresses_of"],
+    "model.obstacles": ["Box", "Cylinder", "Plane", "Sphere"],
     "model.scene": ["Scene"],
     "plotting": ["plotting"],
     "scenes": ["scenes"],

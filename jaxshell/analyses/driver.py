@@ -23,6 +23,7 @@ from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import check_count, is_concrete
 from jaxshell.results.frames import Frames, StoredFrames
 from jaxshell.results.output import Output
+from jaxshell.results.penetration import warn_of_depth
 from jaxshell.results.restart import restored
 from jaxshell.results.solution import RESULTS, Energy, Momentum, Solution, Stats
 from jaxshell.solvers.iteration import Linear
@@ -232,7 +233,9 @@ class Log:
         else:
             frame = jax.device_put(jax.tree.map(lambda *a: np.concatenate(a), *self.frames))
         record = jax.device_put(record)
-        return solution_of(self.scene, record, frame, carry, result_of(code), message, stats, self.analysis)
+        solution = solution_of(self.scene, record, frame, carry, result_of(code), message, stats, self.analysis)
+        warn_of_depth(solution)
+        return solution
 
 
 def _outputs_of(given) -> tuple[Output, ...]:

@@ -45,6 +45,8 @@ _RISES = 1e-9
 Euler is one of Newton's method, which does not mind whether it climbs to an equilibrium that is unstable."""
 _SMALLEST = 1e-8
 """Of the first step: below it a step that fails ends the run."""
+_FLAT = 1e-6
+"""Moments below this part of the largest force times the shell's size are measured against that."""
 _RAMP = 10
 """In so many first steps supports move to where they are to be."""
 
@@ -118,7 +120,7 @@ def settle(
         )
     if any(support.acceleration is not None for support in scene.supports):
         raise ValueError("settle: a support with a prescribed acceleration ends in no place: give its displacement.")
-    check_supported(scene)
+    check_supported(scene, may_touch=True)
     setup = set_up(scene, Settling(), newton, linear_solver=linear_solver, save_every=save_every, reactions=True)
     with Progress(steps=max_steps, enabled=progress) as bar:
         solution = _driven(setup, dt, tolerance, max_steps, output, bar)
@@ -142,7 +144,7 @@ def _driven(setup: Setup, dt, tolerance: float, max_steps: int, output, bar) -> 
         while log.steps < max_steps:
             found = _advance(model, setup.plan, state, memory, jnp.asarray(step))
             new, memory, code, record, frame, rest = found
-            still = float(new.time) > ramped or not model.moving
+            still = float(new.time) > ramped or not (model.moving or model.driven)
             left, scale = _energy(record)
             if int(code) != SUCCESSFUL or (still and left > energy + _RISES * scale):
                 code, step = NOT_AT_REST if int(code) == SUCCESSFUL else int(code), _CUT * step
@@ -203,7 +205,9 @@ def _advance(model: Model, plan: Plan, state: SettlingState, memory, step):
     free = jnp.zeros(balance.residual.size).at[model.tables.free].set(1.0).reshape(-1, 2, 3)
     parts = jnp.max(jnp.abs(free * balance.residual.reshape(-1, 2, 3)), axis=(0, 2))
     tiny = jnp.finfo(float).tiny
-    unbalanced = jnp.max(parts / (jnp.stack([balance.force, balance.moment]) + tiny))
+    # A shell that lies flat is not bent: its moments are round-off, and no scale.
+    moment = jnp.maximum(balance.moment, _FLAT * balance.force * model.size)
+    unbalanced = jnp.max(parts / (jnp.stack([balance.force, moment]) + tiny))
     sizes = jnp.stack([model.size, jnp.ones(())])
     moved = jnp.max(jnp.abs(step * state.velocities).reshape(-1, 2, 3), axis=(0, 2)) / sizes
     seen = record.observed
@@ -229,16 +233,17 @@ def _time_scale(model: Model) -> Float[Array, ""]:
 
 def _last_sample(scene: Scene) -> float:
     """The time from which on no history changes; 0 at least."""
-    stated = (*scene.loads, *scene.supports, *scene.items)
-    histories = [history for item in stated if (history := getattr(item, "history", None)) is not None]
-    return max([0.0, *(float(history.times[-1]) for history in histories)])
+    return max([0.0, *(float(history.times[-1]) for history in scene.histories)])
 
 
 def _moved_at_once(scene: Scene, begin: float, ramp: float) -> Scene:
-    """The scene with supports that move to their final place between the times `begin` and `begin` + `ramp`."""
+    """The scene with supports and obstacles that move to their final place between the times `begin` and `begin` +
+    `ramp`."""
     moving = [i for i, support in enumerate(scene.supports) if support.moves]
-    if not moving:
-        return scene
-    final = [scene.supports[i].history.values[-1] for i in moving]  # pyright: ignore[reportOptionalMemberAccess]
-    ramps = [History([begin, begin + ramp], jnp.stack([jnp.zeros(()), value])) for value in final]
-    return eqx.tree_at(lambda scene: [scene.supports[i].history for i in moving], scene, ramps)
+    carried = [i for i, obstacle in enumerate(scene.obstacles) if obstacle.is_moving]
+
+    def histories(scene: Scene) -> list:
+        return [scene.supports[i].history for i in moving] + [scene.obstacles[i].history for i in carried]
+
+    ends = [jnp.stack([history(0.0), history.values[-1]]) for history in histories(scene)]
+    return eqx.tree_at(histories, scene, [History([begin, begin + ramp], values) for values in ends]) if ends else scene

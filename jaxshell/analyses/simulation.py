@@ -289,8 +289,7 @@ def _controlled(scene: Scene, method: Method, control: StepControl, t_end) -> Co
         for name, step in (("output_interval", interval), ("StepControl initial", control.initial)):
             check_steps(step, max(step, t_end), name)
     outputs = np.append(np.arange(interval, t_end * (1 - 1e-9), interval), t_end)
-    histories = [item.history for item in (*scene.loads, *scene.supports) if item.history is not None]
-    kinks = np.concatenate([np.zeros(0), *(np.asarray(h.times) for h in histories if is_concrete(h.times))])
+    kinks = np.concatenate([np.zeros(0), *(np.asarray(h.times) for h in scene.histories if is_concrete(h.times))])
     stops = np.unique(np.concatenate([outputs, kinks[(kinks > 0) & (kinks < t_end)]]))
     # Times that differ by round-off only are one.
     return Controlled(floats_to_arrays(control), outputs, stops[np.append(np.diff(stops) > 1e-9 * t_end, True)])

@@ -60,6 +60,11 @@ class Acting(eqx.Module):
         return isinstance(self.contribution, Elastic) and self.contribution.driven
 
     @property
+    def is_carried(self) -> bool:
+        """Whether it resists against something that moves."""
+        return isinstance(self.contribution, Resisting) and self.contribution.driven
+
+    @property
     def resists(self) -> bool:
         return isinstance(self.contribution, Resisting)
 
@@ -75,6 +80,16 @@ class Acting(eqx.Module):
         """(k, c, 6) of a resisting one."""
         assert isinstance(self.contribution, Resisting)
         return jax.vmap(self.contribution.resistance)(self.data, start, end, middle, rates)
+
+    def carried(self, start: Place, end: Place) -> Float[Array, "k c 6"]:
+        """Increments of what a resisting one moves against."""
+        assert isinstance(self.contribution, Resisting)
+        return jax.vmap(self.contribution.carried)(self.data, start, end)
+
+    def stiffest(self, place: Place) -> Float[Array, "k d d"]:
+        """Of all groups of an elastic one."""
+        assert isinstance(self.contribution, Elastic)
+        return jax.vmap(self.contribution.stiffest)(self.data, place)
 
     def stiffness(self, place: Place) -> Float[Array, "k d d"]:
         return jax.vmap(self.contribution.stiffness)(self.data, place)
@@ -144,7 +159,8 @@ class Model(eqx.Module):
     def build(cls, scene: Scene, tables: Tables) -> "Model":
         """The model of a scene; `tables` are of its `structure_of`."""
         x0 = jnp.concatenate([scene.mesh.nodes, jnp.zeros((tables.multipliers, 3))])
-        elements = jax.vmap(Element.build)(x0[tables.triangles], scene.section.resultants(scene.mesh))
+        resultants = scene.section.resultants(scene.mesh)
+        elements = jax.vmap(Element.build)(x0[tables.triangles], resultants)
         lumps = _lumps(scene, tables)
         dead = tuple(
             (_nodal(load, x0, tables, elements, lumps), load.history)
@@ -159,6 +175,9 @@ class Model(eqx.Module):
             elements.area,
             elements.frame[:, 2],
             jax.lax.stop_gradient(size),
+            resultants.A,
+            lambda: scene.section.layers(scene.mesh),
+            scene.mesh.triangles,
         )
         moving = tuple(motion_of(support, x0, scene.initial) for support in scene.supports if support.moves)
         damping = None if scene.damping is None else scene.damping.per_element(scene.mesh.n_elements)
@@ -420,6 +439,16 @@ class Model(eqx.Module):
         for acting in self.resisting:
             start, end = acting.places(*before), acting.places(*after)
             total = total + self.sum_over_nodes(acting, acting.resistance(start, end, end, rates[acting.nodes]))
+        return total
+
+    def work_through_resistance(self, before: tuple, after: tuple, rates: Float[Array, "n 6"]) -> Float[Array, ""]:
+        """Work done in a step by what moves the things that resist: forces as `resistance` has them."""
+        total = jnp.zeros(())
+        for acting in self.resisting:
+            if acting.is_carried:
+                start, end = acting.places(*before), acting.places(*after)
+                forces = acting.resistance(start, end, end, rates[acting.nodes])
+                total = total + jnp.sum(forces * acting.carried(start, end))
         return total
 
     def strain_energy(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, ""]:

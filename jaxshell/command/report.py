@@ -9,6 +9,7 @@ from jaxshell.model.mechanisms import connected_parts
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.plane_stress import principal
 from jaxshell.results.diagnostics import energy_balance, momentum_drift
+from jaxshell.results.penetration import penetration
 from jaxshell.results.section_forces import section_forces
 from jaxshell.results.solution import Solution
 from jaxshell.results.stresses import largest_von_mises
@@ -46,9 +47,24 @@ def describe_run(label: str, run: Solution, path: Path) -> str:
         least, most = (f"{values[i]:.6g} at t = {times[i]:.6g}" for i in (low, high))
         lines.append(f"  {name}: {least} to {most}")
     if len(run.frame_times):
+        lines += penetrated(run)
         lines += strained(run, f"at t = {float(run.frame_times[-1]):.6g}")
     lines.append(f"  {size_of(path)}")
     return "\n".join(lines)
+
+
+def penetrated(run: Solution) -> list[str]:
+    """How deep the shell was in each obstacle at a frame."""
+    lines = []
+    for found in penetration(run):
+        depth, thickness = found.depth[found.worst], found.thickness[found.worst]
+        if not depth:
+            lines.append(f"  {found.obstacle}: not touched at any frame")
+            continue
+        part = "" if np.isnan(thickness) else f", {depth / thickness:.2g} of the thickness"
+        line = f"  {found.obstacle}: penetrated by {depth:.3g}{part}"
+        lines.append(f"{line}, by node {found.node[found.worst]} at t = {float(run.frame_times[found.worst]):.6g}")
+    return lines
 
 
 def size_of(path: Path) -> str:

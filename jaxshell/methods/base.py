@@ -71,6 +71,15 @@ class Begun(NamedTuple):
     """Of the point masses, each leaf with a leading axis k; None where there are none."""
 
 
+class Taken(NamedTuple):
+    """What contributions that resist do to the energy in a step."""
+
+    lost: Float[Array, ""]
+    """Dissipated."""
+    work: Float[Array, ""]
+    """Done from outside by what moves them."""
+
+
 class Observation(NamedTuple):
     """What is recorded at every step."""
 
@@ -295,10 +304,14 @@ class ImplicitMethod(Method):
         on_group = jax.vmap(self._on_group, in_axes=(None, 0, 0, 0, 0, None))
         return on_group(acting.contribution, acting.data, start, end, own, step)
 
-    def _on_group(self, contribution: Contribution, data, start: Place, end: Place, rates, step):
-        """The same on one group (c, 6); `rates` are of its nodes, None but for what resists."""
+    def _on_group(self, contribution: Contribution, data, start: Place, end: Place, rates, step, last=None):
+        """The same on one group (c, 6); `rates` are of its nodes, None but for what resists, and `last` those of the
+        iterate before, where a tangent of the iteration is wanted."""
         if isinstance(contribution, Resisting):
-            return contribution.resistance(data, start, end, between(start, end, self.weight_at_end(step)), rates)
+            middle = between(start, end, self.weight_at_end(step))
+            if last is not None:
+                return contribution.iterated(data, start, end, middle, rates, last)
+            return contribution.resistance(data, start, end, middle, rates)
         if isinstance(contribution, Constraint):
             return contribution.balanced(data, start, end, self.weight_at_end(step))
         if self.balances_means:
@@ -321,17 +334,20 @@ class ImplicitMethod(Method):
             work = work + jnp.sum(reaction * model.along_held(u))
         return work
 
-    def taken(self, model: Model, state, begun: Begun, motion: Motion, u) -> Float[Array, ""]:
+    def taken(self, model: Model, state, begun: Begun, motion: Motion, u) -> Taken:
         """Energy taken in the step by what resists, from mean velocities: never negative, and of second order.
 
         Exact where the balance stands in the middle of the step.
         """
-        rates, total = u / (begun.end - state.time), jnp.zeros(())
+        rates, lost, work = u / (begun.end - state.time), jnp.zeros(()), jnp.zeros(())
         for acting in model.resisting:
             start, end = self._places(model, acting, state, begun, motion)
             forces = acting.resistance(start, end, between(start, end), rates[acting.nodes])
-            total = total - jnp.sum(forces * u[acting.nodes])
-        return total
+            lost = lost - jnp.sum(forces * u[acting.nodes])
+            if acting.is_carried:
+                done = jnp.sum(forces * acting.carried(start, end))
+                lost, work = lost + done, work + done
+        return Taken(lost, work)
 
     def _work_of_drive(self, model: Model, acting: Acting, state, begun: Begun, motion: Motion, u, done):
         """External work at an elastic contribution, whose forces at the end do the work `done`: what drives it.
@@ -345,13 +361,15 @@ class ImplicitMethod(Method):
             of_start = jnp.sum(forces * u[acting.nodes])
         return acting.energy(end) - acting.energy(start) + done if acting.is_driven else -of_start
 
-    def following_matrices(self, model: Model, state, begun: Begun, u, tangent: str) -> list[tuple[Acting, Any]]:
-        """What `following` adds to the tangent: matrices (k, 6c, 6c) by the increments u."""
+    def following_matrices(
+        self, model: Model, state, begun: Begun, u, tangent: str, last=None
+    ) -> list[tuple[Acting, Any]]:
+        """What `following` adds to the tangent: matrices (k, 6c, 6c) by the increments u, reached from `last`."""
         motion, found = self.motion(state, u), []
         for acting in self.acting(model):
             start, end = self._places(model, acting, state, begun, motion)
             if tangent == "autodiff" or acting.resists or acting.constrains:
-                K = self._differentiated(model, acting, state, begun, u)
+                K = self._differentiated(model, acting, state, begun, u, last)
             elif self.balances_means:
                 K = by_increments(acting.mean_stiffness(start, end), motion.spin[acting.nodes])
             else:
@@ -365,7 +383,7 @@ class ImplicitMethod(Method):
         start = acting.places(self.positions(model, x), R, state.time)
         return start, acting.places(self.positions(model, motion.x), motion.R, begun.end)
 
-    def _differentiated(self, model: Model, acting: Acting, state, begun: Begun, u):
+    def _differentiated(self, model: Model, acting: Acting, state, begun: Begun, u, last):
         """The matrices of a contribution by `jax.jacfwd`, the reference."""
         x, R = self.configuration(state)
         offset = self.positions(model, x) - x
@@ -373,17 +391,18 @@ class ImplicitMethod(Method):
         rates = slope = jnp.zeros((x.shape[0], 6))
         if acting.resists:
             rates, slope = jax.jvp(lambda u: self.rates_at(state, begun, u), (u,), (jnp.ones_like(u),))
+        earlier = None if last is None or not acting.resists else self.rates_at(state, begun, last)[acting.nodes]
 
-        def force(u, x, R, offset, start, data, before, rates, slope):
+        def force(u, x, R, offset, start, data, before, rates, slope, earlier):
             motion = jax.vmap(self.node_motion)(u.reshape(-1, 6), x, R)
             end = Place(motion.x + offset, motion.R, begun.end)
             rates = rates + slope * (u.reshape(-1, 6) - before)
-            return self._on_group(acting.contribution, data, start, end, rates, begun.step).reshape(-1)
+            return self._on_group(acting.contribution, data, start, end, rates, begun.step, earlier).reshape(-1)
 
         nodes = acting.nodes
         start = acting.places(self.positions(model, x), R, state.time)
         groups = u[nodes].reshape(nodes.shape[0], -1)
-        more = start, acting.data, u[nodes], rates[nodes], slope[nodes]
+        more = start, acting.data, u[nodes], rates[nodes], slope[nodes], earlier
         return jax.vmap(jax.jacfwd(force))(groups, x[nodes], R[nodes], offset[nodes], *more)
 
     def tangent(self, model: Model, state, begun: Begun, u, last, tangent: str) -> Float[Array, " nnz"]:
@@ -392,7 +411,7 @@ class ImplicitMethod(Method):
             matrices = self.matrices(model, state, begun, u, tangent)
         else:
             matrices = self.mixed_matrices(model, state, begun, u, last, tangent)
-        others: list[Any] = [*self.following_matrices(model, state, begun, u, tangent)]
+        others: list[Any] = [*self.following_matrices(model, state, begun, u, tangent, last)]
         if model.lumps is not None:
             slope = jax.vmap(jax.jacfwd(self.lump_force), in_axes=(0, 0, None))
             others.append((model.lumps, slope(u[model.lumps.at], begun.lumps, begun.step)))

@@ -190,6 +190,10 @@ class CentralDifference(Method):
         # Work by the trapezoidal rule; that of a moving support is done on the shell and on the mass it carries.
         work = state.external_work + 0.5 * jnp.sum((state.load + load) * u)
         work = work + model.work_of_rests(*ends) + model.work_of_drives(*ends, u)
+        taken = None
+        if resisted is not None:
+            through = model.work_through_resistance(*ends, middle)
+            work, taken = work + through, through - jnp.sum(resisted * u)
         if model.moving:
             against = 0.5 * (state.internal + internal - state.load - load) * u
             if model.damping is not None and model.damping.alpha is not None:
@@ -211,7 +215,7 @@ class CentralDifference(Method):
             initial_energy=state.initial_energy,
             supplied=supplied,
             mass=mass,
-            damped=_damped(model, state, u, deformations, dt, resisted),
+            damped=_damped(model, state, u, deformations, dt, taken),
         )
         # Written so that NaN fails too.
         stable = new.kinetic + strain <= _EXPLOSION * supplied
@@ -307,13 +311,13 @@ def _nodal_alpha(model: Model, mass: Float[Array, "n 6"]) -> Float[Array, "n 6"]
     return ratio.reshape(-1).at[model.tables.held].set(0.0).reshape(-1, 6)
 
 
-def _damped(model: Model, state: ExplicitState, u, deformations, dt, resisted) -> Damped | None:
-    """The state of damping after a step with the increments u, with what it and the forces `resisted` have removed."""
+def _damped(model: Model, state: ExplicitState, u, deformations, dt, taken) -> Damped | None:
+    """The state of damping after a step with the increments u, with what it and contributions have removed."""
     if state.damped is None:
         return None
     removed = state.damped.dissipated
-    if resisted is not None:
-        removed = removed - jnp.sum(resisted * u)
+    if taken is not None:
+        removed = removed + taken
     if model.damping is None:
         return Damped(removed, None, None)
     alpha, beta = model.damping
@@ -378,4 +382,5 @@ def _of_contributions(model: Model, x, R) -> tuple[Float[Array, ""], Float[Array
         return jax.vmap(one)(acting.data, acting.places(*place))
 
     lagging = [(acting, resisting(acting)) for acting in model.resisting]
-    return largest(model.stiffness_of(model.elastic, *place)), largest(lagging)
+    stiff = [(acting, acting.stiffest(acting.places(*place))) for acting in model.elastic]
+    return largest(stiff), largest(lagging)

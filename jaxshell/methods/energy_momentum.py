@@ -213,7 +213,8 @@ class EnergyMomentum(ImplicitMethod):
         work = work + model.work_of_rests((state.x, state.R, state.time), (motion.x, motion.R, begun.end))
         dissipated = state.dissipated
         if model.resisting:
-            dissipated = dissipated + self.taken(model, state, begun, motion, u)
+            taken = self.taken(model, state, begun, motion, u)
+            work, dissipated = work + taken.work, dissipated + taken.lost
         if model.damping is not None:
             dissipated = dissipated + self._removed(model, data, step, u, motion)
         elif self._dissipates:

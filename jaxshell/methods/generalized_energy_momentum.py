@@ -210,6 +210,8 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             spins = jax.vmap(inertia.end_of_step, in_axes=(0, 0, None))(motion.theta, spins, factors)
         work = self.work_of_loads(model, state, begun, motion, u)
         taken = self.taken(model, state, begun, motion, u)
+        if model.resisting:
+            work = work + taken.work
         work = work + model.work_of_rests((state.x, state.R, state.time), (motion.x, motion.R, begun.end))
         turning = self._turning(model, u, state.spins)
         return GEMState(
@@ -221,7 +223,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             spins=spins,
             external_work=state.external_work + work,
             rates=predictor.remember(state.rates, model.without_multipliers(u), dt),
-            damped=damping.finish(state.damped, model, begun.data.damped, motion, u, turning, factors, taken),
+            damped=damping.finish(state.damped, model, begun.data.damped, motion, u, turning, factors, taken.lost),
             lumps=masses.turned(model.lumps, u, state.lumps, factors),
         )
 

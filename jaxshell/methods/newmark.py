@@ -163,6 +163,8 @@ class ForceLevelMethod(ImplicitMethod):
             work = work + jnp.sum(middle * model.along_held(u))
         turning = damping.turning_of_points(model, u, state.spins)
         taken = self.taken(model, state, begun, motion, u)
+        if model.resisting:
+            work = work + taken.work
         return NewmarkState(
             time=begun.end,
             x=motion.x,
@@ -173,7 +175,7 @@ class ForceLevelMethod(ImplicitMethod):
             external_work=state.external_work + work,
             reaction=reaction,
             rates=predictor.remember(state.rates, model.without_multipliers(u), dt),
-            damped=damping.finish(state.damped, model, begun.data.damped, motion, u, turning, factors, taken),
+            damped=damping.finish(state.damped, model, begun.data.damped, motion, u, turning, factors, taken.lost),
             lumps=masses.turned(model.lumps, u, state.lumps, factors),
         )
 

@@ -42,6 +42,12 @@ class Surface(NamedTuple):
     normals: Float[Array, "m 3"]
     size: Float[Array, ""]
     """Of the shell [length], constant for derivatives."""
+    membrane_stiffness: Any = None
+    """(m, 3, 3) A of the sections [force/length]. This and what follows is there of a whole scene only."""
+    layers: Callable[[], Any] = lambda: None
+    """Gives the sections' `Layers`, or None where a section has none: called by those that need a thickness."""
+    connectivity: Any = None
+    """`triangles` as static numbers."""
 
 
 class Place(NamedTuple):
@@ -124,6 +130,10 @@ class Elastic(Contribution):
     def mean_force(self, data, start: Place, end: Place) -> Float[Array, "c 6"]:
         """Force and moment over a step, whose work on its increments is minus the change of the energy."""
 
+    def stiffest(self, data, place: Place) -> Float[Array, "d d"]:
+        """The stiffness that limits the steps of central differences: by default the one at the start."""
+        return -self.stiffness(data, place)
+
 
 class Resisting(Contribution):
     """Forces against the motion, by the rates of the nodes: what they take counts as dissipated energy."""
@@ -138,6 +148,25 @@ class Resisting(Contribution):
         weighted means and no rotations. `rates` are velocities and angular velocities there: in `EnergyMomentum` the
         increments of the step over Δt. Energy is never made where -force·rates >= 0.
         """
+
+    def iterated(self, data, start: Place, end: Place, middle: Place, rates, last) -> Float[Array, "c 6"]:
+        """What Newton's iteration differentiates: `resistance`, unless its derivative leads in circles.
+
+        `last` are the rates of the iterate before, `rates` those of the last.
+        """
+        return self.resistance(data, start, end, middle, rates)
+
+    @property
+    def driven(self) -> bool:
+        """Static: whether what the nodes move against moves itself. Its motion then does work."""
+        return False
+
+    def carried(self, data, start: Place, end: Place) -> Float[Array, "c 6"]:
+        """Increments over a step of what the nodes move against, where it is driven.
+
+        With rates taken against it, -force·(increments - carried) is dissipated, and force·carried is external work.
+        """
+        return jnp.zeros((start.x.shape[0], 6))
 
     def force(self, data, place: Place) -> Float[Array, "c 6"]:
         """None at rest."""

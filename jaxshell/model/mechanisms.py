@@ -9,18 +9,24 @@ from scipy.sparse.csgraph import connected_components
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import is_concrete
 
+_ON_OBSTACLES = (
+    " Obstacles hold it where it presses on them from the start: settle() lets it come to rest there, and its last "
+    "shape can be the scene's initial one."
+)
 _RANK = 1e-8
 """A singular value of the supports' matrix below this fraction of the largest counts as zero."""
 
 
-def check_supported(scene: Scene) -> None:
+def check_supported(scene: Scene, may_touch: bool = False) -> None:
     """Raise ValueError that names the rigid-body motions left free, of every connected part of the mesh.
 
-    Nodes and connectors that are being traced cannot be looked at and are let through.
+    Obstacles hold the nodes that press on them at the start, along their normals; all nodes that may touch them, where
+    the shell `may_touch` them on its way. Nodes and connectors that are being traced cannot be looked at and are let
+    through.
     """
     if not all(map(is_concrete, jax.tree.leaves((scene.mesh.nodes, scene.connectors)))):
         return
-    parts = free_parts(scene)
+    parts = free_parts(scene, may_touch)
     for members, motions in parts:
         if motions:
             which = "the shell"
@@ -29,12 +35,13 @@ def check_supported(scene: Scene) -> None:
             raise ValueError(
                 f"The supports leave {which} free to move as a rigid body: {'; '.join(motions)}. "
                 "Hold these motions; a shell without supports moves and vibrates, but has no static answer."
+                f"{_ON_OBSTACLES if scene.obstacles and not may_touch else ''}"
             )
 
 
-def free_parts(scene: Scene) -> list[tuple[np.ndarray, list[str]]]:
-    """The parts that no element and no rigid body connects: their nodes, and the rigid-body motions that supports and
-    connectors leave to each, in words.
+def free_parts(scene: Scene, may_touch: bool = False) -> list[tuple[np.ndarray, list[str]]]:
+    """The parts that no element and no rigid body connects: their nodes, and the rigid-body motions that supports,
+    connectors and obstacles leave to each, in words.
 
     Connectors join parts; a part's motion is free where the others may move along with it.
     """
@@ -43,12 +50,25 @@ def free_parts(scene: Scene) -> list[tuple[np.ndarray, list[str]]]:
     count, part = connected_parts(scene.mesh.triangles, len(nodes), links)
     places = [_Part(nodes, np.flatnonzero(part == k)) for k in range(count)]
     held = [place.rows_of(scene.held_dofs) for place in places]
-    joining = [rows for item in scene.connectors for rows in _joining(item.holds(scene.mesh), nodes, part, places)]
+    holding = [item.holds(scene.mesh) for item in scene.connectors] + [_pressed(scene, may_touch)]
+    joining = [rows for holds in holding for rows in _joining(holds, nodes, part, places)]
     if not joining:
         return [(place.members, place.words(_null(rows))) for place, rows in zip(places, held, strict=True)]
     both = np.concatenate([np.asarray(block_diag(*held)), *joining])
     null = _null(both).reshape(-1, count, 6)
     return [(place.members, place.words(_independent(null[:, k]))) for k, place in enumerate(places)]
+
+
+def _pressed(scene: Scene, may_touch: bool) -> list[tuple[np.ndarray, np.ndarray]]:
+    """What obstacles resist: of each node that they hold a row (1, 6) along the normal."""
+    x, found = scene.start[0], []
+    for obstacle in scene.obstacles:
+        met = obstacle.meeting(scene.section, scene.mesh, x, obstacle.moved(np.zeros(())))
+        if all(map(is_concrete, met)):
+            holds = np.full(len(met.nodes), True) if may_touch else np.asarray(met.depth) > 0.0
+            rows = np.pad(np.asarray(met.normals), ((0, 0), (0, 3)))
+            found += [(met.nodes[[k]], rows[[k]]) for k in np.flatnonzero(holds)]
+    return found
 
 
 def connected_parts(triangles: np.ndarray, n_nodes: int, links=()) -> tuple[int, np.ndarray]:
@@ -99,7 +119,9 @@ def _joining(holds, nodes: np.ndarray, part: np.ndarray, places: list[_Part]):
 
 def _null(rows: np.ndarray) -> np.ndarray:
     """(k, d) motions that leave all rows at rest."""
-    _, singular, basis = np.linalg.svd(np.concatenate([rows, np.zeros((rows.shape[1], rows.shape[1]))]))
+    _, singular, basis = np.linalg.svd(
+        np.concatenate([rows, np.zeros((rows.shape[1], rows.shape[1]))]), full_matrices=False
+    )
     return basis[singular <= _RANK * max(1.0, singular[0])]
 
 

@@ -14,6 +14,7 @@ from jaxshell.model.connectors.rigid_body import check_bodies
 from jaxshell.model.contribution import Contribution
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.gauge import check_gauge, gauge_of
+from jaxshell.model.history import History
 from jaxshell.model.initial import Initial
 from jaxshell.model.items import Item, check_names, check_quantity, named
 from jaxshell.model.loads import InitialStrains, Load
@@ -163,8 +164,16 @@ class Scene(eqx.Module):
                     item.check(self.mesh)
                     if isinstance(item, InitialStrains):
                         item.check_section(self.section, self.mesh)
+                    if isinstance(item, Obstacle):
+                        item.check_start(self.section, self.mesh, *self.start)
                 except ValueError as error:
                     raise ValueError(f"{kind} {position}: {error}") from error
+
+    @property
+    def start(self) -> tuple[Any, bool]:
+        """Where the nodes start (n, 3), and whether that is given."""
+        moved = None if self.initial is None else self.initial.displacements
+        return (self.mesh.nodes, False) if moved is None else (self.mesh.nodes + moved, True)
 
     def _check_watched(self, what: str, number: int | str, component):
         if isinstance(number, str):
@@ -213,6 +222,12 @@ class Scene(eqx.Module):
     @property
     def _contributing(self) -> tuple[Contribution | Item, ...]:
         return (*(load for load in self.loads if isinstance(load, Contribution)), *self.items)
+
+    @property
+    def histories(self) -> list[History]:
+        """Of everything that varies in time."""
+        stated = (*self.loads, *self.supports, *self.items)
+        return [history for item in stated if (history := getattr(item, "history", None)) is not None]
 
     @property
     def initial_strains(self) -> tuple[InitialStrains, ...]:

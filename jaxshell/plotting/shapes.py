@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from jaxshell.model.scene import Scene
 from jaxshell.model.supports import symmetry
 from jaxshell.plotting.colouring import colouring
+from jaxshell.plotting.obstacles import draw_obstacles
 from jaxshell.plotting.panels import frame, place_labels, scale_bar, triad
 from jaxshell.plotting.projection import chosen_view, window_of
 from jaxshell.plotting.rendering import Polygons, Renderer, Sheet
@@ -49,6 +50,8 @@ def shapes_figure(
         for panel, sheet, label in zip(panels, sheets, labels, strict=False):
             renderer.draw(panel, [sheet], view, window, coloured.colours)
             panel.set_title(label)
+    for panel, number in zip(panels, [chosen[-1]] if flies else chosen, strict=False):
+        draw_obstacles(panel, run, view, float(run.frame_times[number]), np.concatenate([s.points for s in sheets]))
     last_row = panels[-columns:]
     scale_bar(last_row[0], window, *length_unit(scene))
     triad(last_row[0], view)

@@ -41,10 +41,11 @@ class Drift(NamedTuple):
 
 
 def momentum_drift(run: Solution) -> Drift | None:
-    """The drift of both momenta; None of a shell that supports hold, and where loads act to the end."""
+    """The drift of both momenta; None of a shell that supports hold or that may touch obstacles, and where loads act to
+    the end."""
     since, times = loads_end(run.scene), np.asarray(run.times)
     late = times >= since * (1 + 1e-12)
-    if run.scene.supports or late.sum() < 2:
+    if run.scene.supports or run.scene.obstacles or late.sum() < 2:
         return None
     found = []
     for name, scale in zip(("linear", "angular"), momentum_scales(run), strict=True):

@@ -34,7 +34,9 @@ def _nodal(scene: Scene) -> list[Float[Array, "n 6"]]:
     x0, triangles = scene.mesh.nodes, scene.mesh.triangles
     frames, plane = jax.vmap(local_frame)(x0[triangles])
     area = 0.5 * plane[:, 0] * plane[:, 2]
-    surface = Surface(x0, triangles, scene.section.area_masses(scene.mesh), area, frames[:, 2], jnp.ones(()))
+    found = scene.section.resultants(scene.mesh)
+    layers, static = lambda: scene.section.layers(scene.mesh), scene.mesh.triangles
+    surface = Surface(x0, triangles, found.mass_per_area, area, frames[:, 2], jnp.ones(()), found.A, layers, static)
     found = []
     for load in scene.loads:
         if isinstance(load, DeadLoad):
