@@ -4,6 +4,7 @@
                      it is watched. Its nodes are a number, a list of them, the name of a set, or a table of selectors
                      such as { nearest = [x, y, z] }; an end may be { point = [x, y, z] } of space, or "space"
     [[obstacles]]    the same of obstacles
+    [[masses]]       nodes, mass, inertia, name: see `PointMass`
 
 Which keys choose nodes, elements or sides says the class (`sets`).
 """
@@ -17,6 +18,7 @@ from jaxshell.files.sections import chosen_kind
 from jaxshell.files.selectors import NODE_SELECTORS, chosen_edges, chosen_elements, chosen_nodes
 from jaxshell.files.tables import Table
 from jaxshell.model.connectors import CONNECTORS
+from jaxshell.model.masses import PointMass
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.obstacles import OBSTACLES
 from jaxshell.model.sets import OfSets
@@ -25,6 +27,7 @@ from jaxshell.numerics.checks import check_finite, float_array
 ITEM_KINDS: dict[str, dict[str, type[OfSets]]] = {
     "connectors": {kind.kind: kind for kind in CONNECTORS},
     "obstacles": {kind.kind: kind for kind in OBSTACLES},
+    "masses": {PointMass.kind: PointMass},
 }
 """The kinds of each array of tables by their names in scene files."""
 POINT = "point"
@@ -36,7 +39,8 @@ def read_items(top: Table, key: str, mesh: Mesh) -> list[Any]:
 
 
 def _item(table: Table, kinds: dict[str, type[OfSets]], mesh: Mesh) -> Any:
-    kind = kinds[chosen_kind(table, kinds)]
+    # Where there is one kind only, its name may be left out.
+    kind = kinds[chosen_kind(table, kinds, next(iter(kinds)) if len(kinds) == 1 else None)]
     choosing = {
         "node": lambda table, key: _nodes(table, key, mesh),
         "element": lambda table, key: chosen_elements(table, key, mesh),

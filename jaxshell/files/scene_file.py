@@ -15,7 +15,7 @@
     [[loads]]      kind, one of those that `jaxshell.model.loads.LOADS` lists; nodes, edges (or inner = true for inner
                    edges between the nodes), or elements of what acts on the surface; its value, such as force, moment,
                    acceleration, pressure, components; history; and what the kind takes besides
-    [[connectors]], [[obstacles]]: see `jaxshell.files.items`
+    [[masses]], [[connectors]], [[obstacles]]: see `jaxshell.files.items`
     [damping]      alpha, beta, or ratios with modes (counted from 1) or frequencies: see `RayleighDamping`
     [watch]        label = { nearest or node, component }, or of a stress or section force, as "von mises top" or "Mxx",
                    { nearest or element, component }; or { connector or obstacle = its name, component }
@@ -62,6 +62,7 @@ LOAD_KINDS = {load.kind: load for load in LOADS if not issubclass(load, InitialS
 _SYMMETRY = {f"symmetry {normal}": symmetry([0], normal).dofs for normal in "xyz"}
 KNOWN = ("name", "units", "mesh", "materials", "section", "supports", "loads", "thermal", "initial_strain")
 KNOWN += (*ITEM_KINDS, "damping", "watch", "initial", "run")
+DIRECTIONS = ("axes", "normal")
 MOTIONS = ("displacement", "rotation", "angle", "about", "acceleration")
 """Keys of a support that moves."""
 HOLD = {"clamped": ALL, "pinned": ("ux", "uy", "uz"), **_SYMMETRY}
@@ -174,7 +175,7 @@ def _plain_mesh(table: Table, folder: Path) -> Mesh:
 
 
 def _support(table: Table, mesh: Mesh) -> Support:
-    table.only(*NODE_SELECTORS, "hold", *MOTIONS, "history")
+    table.only(*NODE_SELECTORS, "hold", *MOTIONS, *DIRECTIONS, "history")
     # What a rotation prescribes follows from its other keys.
     hold = table.content.get("hold") if "rotation" in table.content else table.get("hold")
     if isinstance(hold, str):
@@ -185,7 +186,7 @@ def _support(table: Table, mesh: Mesh) -> Support:
                 f"{meant(hold, HOLD)}"
             )
         hold = HOLD[hold]
-    motion = {key: table.content[key] for key in MOTIONS if key in table.content}
+    motion = {key: table.content[key] for key in (*MOTIONS, *DIRECTIONS) if key in table.content}
     return table.call(Support, chosen_nodes(table, mesh), hold, history=read_history(table), **motion)
 
 

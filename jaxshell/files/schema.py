@@ -214,6 +214,8 @@ def _support() -> Schema:
         "about": _said(VECTOR, "a point of the axis: the nodes move round it, as one rigid body"),
     }
     held = {**_NODES, "hold": hold, "history": _HISTORY}
+    along["axes"] = _said(_list(VECTOR), "unit vectors along which the degrees of freedom are meant")
+    along["normal"] = _said(VECTOR, "in place of axes: x is along it")
     return _any(_table({**held, **along}, ["hold"]), _table({**held, **turned}, ["rotation", "history"]))
 
 

@@ -24,7 +24,7 @@ class PointMass(OfSets):
             the node; one value is a ball's. None is none. Differentiable.
         name: what watches call them.
 
-    Gravity acts on them, and their momenta and kinetic energy are the scene's; `RayleighDamping` is the shell's alone.
+    Weight acts on them, and their momenta and kinetic energy are the scene's; `RayleighDamping` is the shell's alone.
     With `EnergyMomentum` energy and momenta are kept exactly. Raises ValueError for negative masses and for a tensor
     that no body has (not symmetric, or a moment above the sum of the two others).
     """

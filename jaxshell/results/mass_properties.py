@@ -23,7 +23,7 @@ class MassProperties(eqx.Module):
 
 
 def mass_properties(scene: Scene) -> MassProperties:
-    """Mass, centre and inertia tensor of the shell.
+    """Mass, centre and inertia tensor of the shell with its point masses and rigid bodies.
 
     Of the kinetic energy ½ ∫ m₀|v|² + 2 m₁ v·ṫ + m₂|ṫ|² dA of a surface with directors t, m_k = ∫ρ zᵏ dz: a rigid spin
     ω about a point has v = ω × r and ṫ = ω × t. Exact for flat triangles. Differentiable.
@@ -40,12 +40,22 @@ def _mass_properties(scene: Scene) -> MassProperties:
     section = scene.section.resultants(scene.mesh)
     zeroth, second = area * section.mass_per_area, area * section.rotary_inertia
     first = jnp.zeros_like(area) if section.first_moment is None else area * section.first_moment
-    mass = jnp.sum(zeroth)
-    centre = (zeroth @ jnp.mean(x, axis=1) + first @ t) / mass
+    points, lumped, tensors = _points(scene)
+    mass = jnp.sum(zeroth) + jnp.sum(lumped)
+    centre = (zeroth @ jnp.mean(x, axis=1) + first @ t + lumped @ points) / mass
     r = x - centre
     middle = jnp.mean(r, axis=1)
     # ∫ (density) p pᵀ over the body, of places p = r + z t.
     moments = jnp.einsum("m,mai,ab,mbj->ij", zeroth, r, jnp.asarray(LINEAR_MASS), r)
     crossed = jnp.einsum("m,mi,mj->ij", first, middle, t)
     moments = moments + crossed + crossed.T + jnp.einsum("m,mi,mj->ij", second, t, t)
-    return MassProperties(mass, centre, jnp.trace(moments) * jnp.eye(3) - moments)
+    moments = moments + jnp.einsum("k,ki,kj->ij", lumped, points - centre, points - centre)
+    return MassProperties(mass, centre, jnp.trace(moments) * jnp.eye(3) - moments + tensors)
+
+
+def _points(scene: Scene):
+    """Places (k, 3) and masses (k,) of the point masses, and the sum of their inertia tensors (3, 3)."""
+    masses = scene.point_masses
+    if masses is None:
+        return jnp.zeros((0, 3)), jnp.zeros(0), jnp.zeros((3, 3))
+    return scene.mesh.nodes[masses.nodes.array], masses.mass, jnp.sum(masses.inertia, axis=0)

@@ -27,9 +27,9 @@ _SMALLEST = 1e-12
 """Corrections below this are not asked for the sake of energy: near it positions have no more digits."""
 _CURVED = 1e4
 """What a full correction leaves is about so many times its square, of thin shells, before another one tells."""
-_SOFT, _REFINEMENTS = 1e-8, 3
-"""What stands in place of zeros on the diagonal, as a part of what they become; and how often a solution that is
-differentiated is refined with the matrix itself."""
+_SOFT, _REFINEMENTS = 1e-6, 3
+"""What stands in place of zeros on the diagonal, as a part of what they become; and how often a solution with a new
+factorization is refined."""
 _FIRST_GUESS = 0.1
 """Contraction of a factorization that has not been used yet."""
 
@@ -61,7 +61,8 @@ class Linear(NamedTuple):
     solver gets them. None where there is none.
 
     A factorization without pivoting would divide by the zeros. In their place it has -s²ε/K, K the largest entry: what
-    remains after elimination of the others is s²/K or more, so corrections err by ε.
+    remains after elimination of the others is s²/K or more, so a solution errs by ε, and is refined with the matrix
+    itself.
     """
 
     def posed(self, model) -> "Linear":
@@ -70,8 +71,13 @@ class Linear(NamedTuple):
 
     def factor_and_solve(self, values, rhs):
         """(K⁻¹ rhs, factorization, the matrix that was factored: `values` in these units)."""
+        exact, rhs = values, self._times_units(rhs)
         values = self._scaled(values)
-        x, factorization = self.solver.factor_and_solve(self.handle, values, self._times_units(rhs))
+        x, factorization = self.solver.factor_and_solve(self.handle, values, rhs)
+        if self.soft is not None:
+            exact = self._replace(soft=None)._scaled(exact)
+            for _ in range(_REFINEMENTS):
+                x = x + self.solver.solve(self.handle, factorization, values, rhs - multiply(self.handle, exact, x))
         return self._times_units(x), factorization, values
 
     def solve(self, factorization, factored, rhs) -> Float[Array, " nf"]:
