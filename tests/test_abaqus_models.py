@@ -452,3 +452,23 @@ def test_other_files_are_told_apart(tmp_path):
     (tmp_path / "model.txt").write_text("*NODE\n")
     with pytest.raises(ValueError, match=r"no kind that models are read from.*\.inp, \.bdf"):
         js.read_model(tmp_path / "model.txt")
+
+
+def test_masses_and_rotary_inertias_are_point_masses(tmp_path):
+    """I12 of *ROTARY INERTIA is the tensor's component, -∫ρ x y dV; a mass at a node of no shell is refused."""
+    lumps = (
+        "*ELEMENT, TYPE=MASS, ELSET=TIPS\n90, 3\n91, 6\n*ELEMENT, TYPE=ROTARYI, ELSET=GYRO\n92, 6\n"
+        "*MASS, ELSET=TIPS\n0.5\n*ROTARY INERTIA, ELSET=GYRO\n3., 2., 4., -0.1, -0.2, -0.3\n"
+    )
+    path = tmp_path / "model.inp"
+    path.write_text(MESH + lumps + STEEL + PLAIN + HELD + STATIC + "*END STEP\n", encoding="utf-8")
+    assert main(["import", str(path), str(tmp_path / "scene.toml")]) == 0
+    for scene in (js.read_model(path), read_scene_file(tmp_path / "scene.toml")[0]):
+        tips, gyro = scene.masses
+        assert tips.nodes.array.tolist() == [2, 5] and float(tips.mass) == 0.5
+        assert gyro.nodes.array.tolist() == [5] and float(gyro.mass) == 0.0
+        np.testing.assert_allclose(gyro.inertia, [[3.0, -0.1, -0.2], [-0.1, 2.0, -0.3], [-0.2, -0.3, 4.0]])
+    far = MESH.replace("*Element, type=S3", "7, 5., 5., 0.\n*Element, type=S3", 1) + lumps.replace("91, 6", "91, 7")
+    path.write_text(far + STEEL + PLAIN + HELD + STATIC + "*END STEP\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"\*MASS .*: 1 at nodes that no shell has"):
+        js.read_model(path)

@@ -182,7 +182,8 @@ def test_what_is_wrong_does_not_fit_the_schema(right, wrong):
 def test_the_schema_has_every_key():
     text = schema()["properties"]
     assert set(text["run"]["properties"]) == set(KEYS)
-    assert set(NODE_SELECTORS) < set(text["supports"]["items"]["properties"])
+    for kind in text["supports"]["items"]["anyOf"]:
+        assert set(NODE_SELECTORS) < set(kind["properties"])
 
 
 # --- completion ------------------------------------------------------------------------------------------

@@ -131,6 +131,7 @@ def two_parts(across: int, *connectors) -> js.Scene:
     return js.Scene(mesh, PANEL, [js.clamped(root)], [load], connectors=connectors, watch={"tip": (int(tip[0]), "uz")})
 
 
+@pytest.mark.slow
 def test_an_edge_tie_joins_meshes():
     """As one mesh where they match; near it where they do not."""
     one = js.solve_static(two_parts(3), [1.0]).watched["tip"][-1]
@@ -143,6 +144,35 @@ def test_an_edge_tie_joins_meshes():
     np.testing.assert_allclose(tied, one, rtol=5e-2)
 
 
+def test_frequencies_and_buckling_know_joints():
+    one, tied = two_parts(3), two_parts(3, js.Tie(np.arange(8, 12), 12 + np.arange(4)))
+    found, expected = (js.natural_frequencies(scene, 4).frequencies for scene in (tied, one))
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
+    tip = int(one.watch[0][1])
+    pressed = [
+        dataclasses.replace(s, loads=[js.NodalForce([int(s.watch[0][1])], (-1.0, 0.0, 0.0))]) for s in (tied, one)
+    ]
+    found, expected = (js.linear_buckling(scene, 2).load_factors for scene in pressed)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    assert tip != int(tied.watch[0][1])
+
+
+def test_a_rigid_pendulum_swings_as_theory_says():
+    mesh, gravity = panels(1)[0].with_points({"pin": (0.0, 0.0, 0.0)}), 9.81
+    scene = js.Scene(
+        mesh,
+        PANEL,
+        [js.clamped("pin")],
+        [js.Gravity((gravity, 0.0, 0.0))],
+        connectors=[js.RigidBody(np.arange(4)), js.Hinge(0, "pin", (0.0, 1.0, 0.0))],
+    )
+    resting = js.simulate(scene, js.EnergyMomentum(), dt=1e-6, t_end=1e-6)
+    found = js.natural_frequencies(scene, 1, about=resting).frequencies[0]
+    moment = 0.2**2 / 3 + 2e-3**2 / 12  # about the pin, over the mass
+    np.testing.assert_allclose(found, np.sqrt(gravity * 0.1 / moment) / (2 * np.pi), rtol=1e-8)
+
+
+@pytest.mark.slow
 def test_a_distributed_force_is_its_resultant():
     mesh = generators.rectangle(0.2, 0.1, (2, 2))
     rim = mesh.nodes_where(lambda x: x[0] > 0.199)

@@ -235,13 +235,25 @@ def test_what_has_no_counterpart_is_listed_or_refused(tmp_path, capsys):
         "not carried over: PARAM POST",
         "note: SOL 101 is linear, and jaxshell turns and moves by finite amounts",
     ]
-    write(tmp_path, bulk + "CONM2,91,3,,5.\nRBE2,92,1,123456,2\n", solution="106")
+    write(tmp_path, bulk + "CONM2,91,3,,5.,1.\nRBE2,92,1,123456,2\n", solution="106")
     with pytest.raises(ValueError) as error:
         js.read_model(tmp_path / "model.bdf")
-    assert "  1 CONM2 (the first: model.bdf, line 25)\n  1 RBE2 (the first: model.bdf, line 26)\n" in str(error.value)
+    lines = ["CONM2 91 (model.bdf, line 25): beside its grid point", "1 RBE2 (the first: model.bdf, line 26)"]
+    assert all(line in str(error.value) for line in lines)
     assert main(["import", str(tmp_path / "model.bdf"), str(tmp_path / "scene.toml"), "--partial"]) == 0
-    assert "  not carried over: 1 CONM2 (the first: model.bdf, line 25)\n" in capsys.readouterr().out
+    assert "  not carried over: CONM2 91 (model.bdf, line 25): beside its" in capsys.readouterr().out
     assert_alike(read_scene_file(tmp_path / "scene.toml")[0], js.Scene(MESH, TWO, [ROOT]))
+
+
+def test_concentrated_masses_are_point_masses(tmp_path):
+    """Off-diagonal moments of CONM2 are those of ∫ρ x y dV, which the tensor has with the other sign."""
+    mass = "CONM2,91,3,,5.\n,3.,.1,2.,.2,.3,4.\nPARAM,WTMASS,0.5\n"
+    write(tmp_path, PLAIN + MATERIAL + HELD + mass, solution="106")
+    assert main(["import", str(tmp_path / "model.bdf"), str(tmp_path / "scene.toml")]) == 0
+    for scene in (js.read_model(tmp_path / "model.bdf"), read_scene_file(tmp_path / "scene.toml")[0]):
+        (found,) = scene.masses
+        assert found.nodes.array.tolist() == [2] and float(found.mass) == 2.5
+        np.testing.assert_allclose(found.inertia, [[1.5, -0.05, -0.1], [-0.05, 1.0, -0.15], [-0.1, -0.15, 2.0]])
 
 
 @pytest.mark.parametrize(

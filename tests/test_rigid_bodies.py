@@ -175,6 +175,7 @@ def test_a_tip_mass_gives_the_frequency_of_theory():
     np.testing.assert_allclose(found, expected, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_rigid_by_elimination_is_the_limit_of_stiff_elements():
     mesh = generators.rectangle(0.2, 0.05, (4, 1))
     clamp = js.clamped(mesh.nodes_where(lambda x: x[0] < 1e-9))

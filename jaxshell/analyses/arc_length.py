@@ -126,7 +126,7 @@ class _Step(NamedTuple):
         return _STATIC.increments(self.model, self.state, free, self.held(increment))
 
     def moves(self, free, held) -> Float[Array, "n 3"]:
-        return self.model.spread(free, held, self.state.R)[:, :3]
+        return self.model.without_multipliers(self.model.spread(free, held, self.state.R))[:, :3]
 
     def balance(self, free, increment):
         begun = _STATIC.begin(self.model, self.state, increment)
@@ -167,7 +167,7 @@ class _Carry(NamedTuple):
 
 def _corrected(step: _Step, measure: Measure, length, c: _Carry) -> _Carry:
     """One correction of the bordered system."""
-    n, newton = step.state.d.shape[0], step.plan.solvers.newton
+    n, newton = step.model.tables.nodes, step.plan.solvers.newton
     residual = step.model.free(step.balance(c.free, c.increment).residual)
     by_residual, by_load = step.two_solutions(c.free, c.last, c.increment, residual)
     so_far = step.moves(c.free, step.held(c.increment))
@@ -191,7 +191,7 @@ def _corrected(step: _Step, measure: Measure, length, c: _Carry) -> _Carry:
 @compiled
 def _advance(model: Model, plan: Plan, state: StaticState, previous, length):
     """One step of arc length `length`, going on in the direction `previous` (n, 3) of the last step."""
-    newton, n = plan.solvers.newton, state.d.shape[0]
+    newton, n = plan.solvers.newton, model.tables.nodes
     measure = Measure(model.size, model.tables.free % 6 >= 3, newton.max_rotation)
     held_rate = model.held_increment(state.time, 1.0)
     if model.turns:
@@ -225,7 +225,7 @@ def _advance(model: Model, plan: Plan, state: StaticState, previous, length):
     state = _STATIC.finish(model, state, end.increment, u, _STATIC.motion(state, u), begun)
     record = program.record(model, plan, before, state, None, end.iterations, end.iterations, jnp.array(True))
     weakest, _ = critical(model, plan.solvers, before, state, None)
-    return state, u[:, :3], result, record, program.frame(model, state), weakest
+    return state, model.without_multipliers(u)[:, :3], result, record, program.frame(model, state), weakest
 
 
 def _driven(setup: Setup, arc_length, steps, max_load_factor, output, bar, linear_solver) -> Solution:

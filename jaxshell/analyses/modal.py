@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Array, Float
 from scipy.linalg import LinAlgError, eig, eigh
-from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, splu
+from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs, eigsh, splu
 
 from jaxshell.analyses.statics import proportional
 from jaxshell.assembly.discretised import Model, elimination_of, structure_of
@@ -118,7 +118,7 @@ def natural_frequencies(
     time = jnp.zeros(()) if about is None else about.times[-1]
     if about is not None and about.analysis == "static":
         scene = proportional(scene)
-    *values, units, shift = _vibration_matrices(scene, tables, state, time)
+    *values, units, soft, shift = _vibration_matrices(scene, tables, state, time, about is not None)
     K, M = (_posed(pattern, units, v) for v in values)
     spare = 0 if rigid_modes else 6 * connected_parts(scene.mesh.triangles, scene.mesh.n_nodes)[0]
 
@@ -136,7 +136,7 @@ def natural_frequencies(
 
     vectors = _normalised(pattern, M, _on_host(solve, (count, pattern.size), K, M, shift))
     rigid = _are_rigid(pattern, K, vectors, shift)
-    pencil = Pencil(K, M, pattern)
+    pencil = Pencil(K, M, pattern, soft)
     omega_sq = eigenvalues(pencil, vectors, ~rigid)
     still = rigid | (omega_sq == 0)
     safe = jnp.where(still, 1.0, jnp.abs(omega_sq))
@@ -160,12 +160,14 @@ def linear_buckling(scene: Scene, count: int = 5) -> BucklingModes:
     tables, pattern = analyse(structure_of(scene))
     _check_count(count, pattern.size)
     handle = default_solver().prepare(pattern)
-    *values, units = _buckling_matrices(proportional(scene), tables, handle)
+    *values, units, soft = _buckling_matrices(proportional(scene), tables, handle)
     K, K_sigma = (_posed(pattern, units, v) for v in values)
 
     def solve(K, K_sigma):
         sizes = (_power_of_two(np.abs(values).max()) for values in (K, K_sigma))
         K, K_sigma = (_sparse(pattern, v / size) for v, size in zip((K, K_sigma), sizes, strict=True))
+        if tables.multipliers:  # K has no definite sign
+            return _indefinite(K, K_sigma, count)
         if pattern.size <= _DENSE:
             _, vectors = eigh(-K_sigma.toarray(), K.toarray())
             return vectors.T[::-1][:count]
@@ -174,7 +176,7 @@ def linear_buckling(scene: Scene, count: int = 5) -> BucklingModes:
 
     vectors = _normalised(pattern, K, _on_host(solve, (count, pattern.size), K, K_sigma))
     positive = quadratic(pattern, jax.lax.stop_gradient(K_sigma), vectors) < 0
-    pencil = Pencil(-K_sigma, K, pattern)
+    pencil = Pencil(-K_sigma, K, pattern, soft)
     reciprocal = eigenvalues(pencil, vectors, positive)
     factors = jnp.where(positive, 1.0 / jnp.where(positive, reciprocal, 1.0), jnp.inf)
     shapes = _nodal(scene, tables, _initial_state(scene)[1], units * eigenvectors(pencil, vectors))
@@ -195,26 +197,38 @@ def _initial_state(scene: Scene):
 
 
 @compiled
-def _vibration_matrices(scene: Scene, tables: Tables, state, time):
-    """Values of K and M over the free degrees of freedom, their units, and a scale of ω² below the bending
-    frequencies."""
+def _vibration_matrices(scene: Scene, tables: Tables, state, time, loaded: bool):
+    """Values of K and M over the free degrees of freedom, their units, the zeros of multipliers, and a scale of ω²
+    below the bending frequencies.
+
+    `loaded` says that the loads hold the state in balance: then rigid bodies and joints carry forces.
+    """
     model = Model.build(scene, tables)
-    placed = model.x0 + state[0], state[1]
+    n = model.x0.shape[0]
+    still = jnp.zeros((n, 3)), jnp.broadcast_to(jnp.eye(3), (n, 3, 3))
+    placed = model.x0 + model.whole(state[0], still[0]), model.whole(state[1], still[1])
     x, R = model.gather(placed)
     K = jax.vmap(corotational.tangent_stiffness)(x, R, model.elements_at((1.0, time)))
     following = model.following_stiffness(*placed, time)
     M = jax.vmap(mass_matrix)(R, model.elements)
     forces = None
-    if model.elimination is not None:
+    if model.elimination is not None and loaded:
         forces = model.internal_force(*placed, time) - model.external_load(*placed, time)
+    if model.constraints:
+        x = model.multipliers_at(*placed, time) if loaded else placed[0]
+        following = following + [(a, a.constraint_stiffness(x, placed[1], time)) for a in model.constraints]
+        if forces is not None:
+            own = (model.sum_over_nodes(a, a.balanced(a.places(x, placed[1], time))) for a in model.constraints)
+            forces = forces - sum(own, jnp.zeros_like(forces))
     K = model.matrix_at(placed[1], K, following, forces)
     lumps = [] if model.lumps is None else [(model.lumps, model.lumps.matrices(placed[1]))]
-    return K, model.matrix_at(placed[1], M, lumps), model.units, model.frequency_scale
+    return K, model.matrix_at(placed[1], M, lumps), model.units, model.soft, model.frequency_scale
 
 
 @compiled
 def _buckling_matrices(scene: Scene, tables: Tables, handle):
-    """Values of K and K_σ over the free degrees of freedom, K_σ for load factor 1, and their units."""
+    """Values of K and K_σ over the free degrees of freedom, K_σ for load factor 1, their units, and the zeros of
+    multipliers."""
     model = Model.build(scene, tables)
     n = model.x0.shape[0]
     at_rest = model.x0, jnp.broadcast_to(jnp.eye(3), (n, 3, 3))
@@ -229,7 +243,8 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
     elements = model.elements_at((1.0, 1.0))
     if model.rests or model.elastic:
         loads = loads - model.internal_force(*at_rest, 1.0)
-    K = model.matrix_at(at_rest[1], matrices, model.stiffness_of(model.elastic, *at_rest, 1.0))
+    joints = [(a, a.constraint_stiffness(*at_rest, 1.0)) for a in model.constraints]
+    K = model.matrix_at(at_rest[1], matrices, [*model.stiffness_of(model.elastic, *at_rest, 1.0), *joints])
     load = model.free(model.collected(loads - internal, at_rest[1]))
     free = Linear(default_solver(), handle).posed(model).solve_once(K, load)
     nodal = model.spread(free, held, at_rest[1])
@@ -245,13 +260,19 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
         return corotational.stiffness(kin, f, element, None, material=0.0)
 
     K_sigma = jax.vmap(stress_stiffness)(x, R, u, elements)
-    external = tuple(a for a in model.contributions if not a.is_elastic and not a.resists)
+    external = tuple(a for a in model.contributions if a.is_plain)
     others = model.stiffness_of(external, *at_rest, 1.0) + _stressed(model, at_rest, nodal)
     # The followers' forces grow with the loads.
     forces = None
     if model.elimination is not None:
         forces = model.assemble_vector(jnp.einsum("mij,mj->mi", matrices, u.reshape(-1, 18))) - loads
-    return K, model.matrix_at(at_rest[1], K_sigma, others, forces), model.units
+    if model.constraints:
+        x = model.x0.at[model.tables.nodes :].add(nodal[model.tables.nodes :, :3])
+        for acting, at_first in joints:
+            others.append((acting, acting.constraint_stiffness(x, at_rest[1], 1.0) - at_first))
+            if forces is not None:
+                forces = forces - model.sum_over_nodes(acting, acting.balanced(acting.places(x, at_rest[1], 1.0)))
+    return K, model.matrix_at(at_rest[1], K_sigma, others, forces), model.units, model.soft
 
 
 def _stressed(model: Model, at_rest, nodal: Float[Array, "n 6"]):
@@ -318,10 +339,24 @@ class _Inverse(LinearOperator):
 
     def __init__(self, matrix):
         super().__init__(np.float64, matrix.shape)
-        self.factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        if (matrix.diagonal() == 0).any():  # of multipliers
+            self.factors = splu(matrix)
+        else:
+            self.factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
     def _matvec(self, x):
         return self.factors.solve(x)
+
+
+class _Quotient(LinearOperator):
+    """A⁻¹ B, with pivots."""
+
+    def __init__(self, A, B):
+        super().__init__(np.float64, A.shape)
+        self.factors, self.B = splu(A), B
+
+    def _matvec(self, x):
+        return self.factors.solve(self.B @ x)
 
 
 def _shift_invert(K, M, shift: float, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -350,6 +385,21 @@ def _dense_shift_invert(K, M, shift: float, count: int) -> tuple[np.ndarray, np.
         return shift + 1.0 / theta[nearest], vectors[:, nearest]
 
 
+def _indefinite(K, K_sigma, count: int) -> np.ndarray:
+    """The vectors (count, n) of the largest μ of -K_σ φ = μ K φ, where multipliers make saddles of the matrices.
+
+    On what joints leave free K is definite, and μ are real.
+    """
+    size = K.shape[0]
+    if size <= _DENSE:
+        found: Any = eig(np.linalg.solve(K.toarray(), -K_sigma.toarray()))
+    else:
+        start = np.random.default_rng(0).standard_normal(size)
+        found = eigs(_Quotient(K, -K_sigma), k=count, which="LR", v0=start)
+    values, vectors = found
+    return np.real(vectors[:, np.argsort(-np.real(values))[:count]]).T
+
+
 def _lanczos(matrix, **options):
     # A start that repeats: with ARPACK's own, equal eigenvalues come with other vectors every time.
     start = np.random.default_rng(0).standard_normal(matrix.shape[0])
@@ -363,6 +413,7 @@ def _lanczos(matrix, **options):
 def _nodal(scene: Scene, tables: Tables, R, vectors) -> Float[Array, "c n 6"]:
     held = jnp.zeros((vectors.shape[0], tables.held.shape[0]))
     nodal = jnp.concatenate([vectors, held], axis=1)[:, tables.place].reshape(vectors.shape[0], -1, 6)
+    nodal = nodal[:, : scene.mesh.n_nodes]
     elimination = elimination_of(scene, tables)
     if elimination is None:
         return nodal

@@ -97,6 +97,12 @@ class Acting(eqx.Module):
     def mean_stiffness(self, start: Place, end: Place) -> Float[Array, "k d d"]:
         return jax.vmap(self.contribution.mean_stiffness)(self.data, start, end)
 
+    def balanced(self, place: Place) -> Float[Array, "k c 6"]:
+        """Of a constraint, in a state."""
+        assert isinstance(self.contribution, Constraint)
+        constraint = self.contribution
+        return jax.vmap(lambda data, place: constraint.balanced(data, place, place, 1.0))(self.data, place)
+
     def constraint_stiffness(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, "k d d"]:
         """Of a constraint by displacements and spins, multipliers among them: as they stand in the stiffness."""
         assert isinstance(self.contribution, Constraint)
@@ -227,6 +233,33 @@ class Model(eqx.Module):
             return None
         rows = self.multiplier_unit * self.units[self.tables.constrained] ** 2
         return self.tables.zeros, rows * rows
+
+    def whole(self, given, default):
+        """Nodal values of the mesh's nodes, with the default ones (n, ...) of the multipliers'."""
+        given = jnp.asarray(given)
+        return given if not self.tables.multipliers else default.at[: self.tables.nodes].set(given)
+
+    def multipliers_at(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, "n 3"]:
+        """x with the multipliers at which the forces are in balance, as nearly as they can be (least squares)."""
+        assert self.tables.constrained is not None
+        still = jnp.zeros((x.shape[0], 6))
+        no_motion, free = jnp.zeros(self.tables.held.shape), jnp.zeros(self.tables.free.shape)
+
+        def placed(values):
+            return x + self.expand(free.at[self.tables.constrained].set(values), no_motion)[:, :3]
+
+        def forces(values):
+            total = still
+            for acting in self.constraints:
+                place = acting.places(placed(values), R, time)
+                total = total + self.sum_over_nodes(acting, acting.balanced(place))
+            found = self.free(self.collected(total, R))
+            return (self.units * found).at[self.tables.constrained].set(0.0)
+
+        unbalanced = self.internal_force(x, R, time) - self.external_load(x, R, time)
+        unbalanced = self.units * self.free(self.collected(unbalanced, R))
+        slopes = jax.jacfwd(forces)(jnp.zeros(self.tables.constrained.shape))
+        return placed(jnp.linalg.solve(slopes.T @ slopes, slopes.T @ unbalanced))
 
     @property
     def frequency_scale(self) -> Float[Array, ""]:

@@ -52,10 +52,10 @@ def initial_motion(model: Model, scene: Scene) -> tuple[Nodal, Float[Array, "n 3
     v = omega = jnp.zeros((n, 3))
     initial = scene.initial
     if initial is not None:
-        x = x if initial.displacements is None else x + _whole(model, initial.displacements, v)
-        R = R if initial.rotations is None else _whole(model, initial.rotations, R)
-        v = v if initial.velocities is None else _whole(model, initial.velocities, v)
-        omega = omega if initial.angular_velocities is None else _whole(model, initial.angular_velocities, omega)
+        x = x if initial.displacements is None else x + model.whole(initial.displacements, v)
+        R = R if initial.rotations is None else model.whole(initial.rotations, R)
+        v = v if initial.velocities is None else model.whole(initial.velocities, v)
+        omega = omega if initial.angular_velocities is None else model.whole(initial.angular_velocities, omega)
     rates = jnp.concatenate([v, omega], axis=1)
     if model.elimination is not None:
         rates = model.elimination.along(rates)
@@ -103,12 +103,6 @@ def _accelerations(model: Model, linear, x, R, time, rates: Float[Array, "n 6"],
     free = linear.posed(model).solve_once(values, model.free(model.collected(force, R)))
     held = jnp.zeros(model.tables.held.shape)
     return model.spread(free, held, R) + known
-
-
-def _whole(model: Model, given, default):
-    """Values of the mesh's nodes, with the default ones of the multipliers'."""
-    given = jnp.asarray(given)
-    return given if not model.tables.multipliers else default.at[: model.tables.nodes].set(given)
 
 
 def initial_translational_acceleration(

@@ -12,6 +12,7 @@ found or not, three inverse iterations that start across φ show.
 """
 
 import functools
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -39,6 +40,8 @@ class Pencil(eqx.Module):
     A: Float[Array, " m"]
     B: Float[Array, " m"]
     pattern: SparsityPattern = eqx.field(static=True)
+    soft: Any = None
+    """Of the zeros that multipliers have on the diagonal, as in `Linear`; constant."""
 
 
 def symmetric(pattern: SparsityPattern, values: Float[Array, " m"]) -> Float[Array, " m"]:
@@ -84,7 +87,7 @@ def _values(strict: bool, vectors, pencil: Pencil, defined) -> Float[Array, " c"
 
 def _vectors(strict: bool, vectors, pencil: Pencil, defined) -> Float[Array, "c n"]:
     solver = default_solver()
-    linear = Linear(solver, solver.prepare(pencil.pattern))
+    linear = Linear(solver, solver.prepare(pencil.pattern), soft=jax.lax.stop_gradient(pencil.soft))
 
     def change(phi, pencil, along):
         dA, dB = along(lambda pencil: pencil.A), along(lambda pencil: pencil.B)
@@ -105,7 +108,7 @@ def _nelson(linear: Linear, strict: bool, A, B, dA, dB, phi, mu, defined) -> Flo
     regular = jnp.where(off, jnp.where(handle.rows == handle.indices, size, 0.0), singular)
 
     def solve(transpose, rhs):
-        x = linear.solver._solve_once(handle, regular, rhs, transpose)
+        x = _solved(linear, regular, rhs, transpose)
         # Asked here, where the answer is wanted: programs that do not use it do not pay for it.
         lost = defined & jnp.any(rhs != 0) & ~(_gap(linear, A, B, regular, phi, mu) > _GAP)
         return eqx.error_if(x, lost, NOT_SIMPLE) if strict else jnp.where(lost, jnp.nan, x)
@@ -122,13 +125,20 @@ def _nelson(linear: Linear, strict: bool, A, B, dA, dB, phi, mu, defined) -> Flo
     return v - (B_phi @ v + 0.5 * phi @ multiply(handle, dB, phi)) * phi
 
 
+def _solved(linear: Linear, matrix, rhs, transpose: bool) -> Float[Array, " n"]:
+    """With a symmetric matrix; refined where multipliers have zeros on its diagonal."""
+    if linear.soft is not None:
+        return linear.solve_once(matrix, rhs)
+    return linear.solver._solve_once(linear.handle, matrix, rhs, transpose)
+
+
 def _gap(linear: Linear, A, B, regular, phi, mu) -> Float[Array, ""]:
     """Distance from μ to the next eigenvalue, as a fraction of the larger."""
     handle = linear.handle
     B_phi = multiply(handle, B, phi)
     w = jnp.asarray(np.random.default_rng(1).standard_normal(phi.size))
     for _ in range(_SWEEPS):
-        w = linear.solver._solve_once(handle, regular, multiply(handle, B, w / jnp.max(jnp.abs(w))), False)
+        w = _solved(linear, regular, multiply(handle, B, w / jnp.max(jnp.abs(w))), False)
         w = w - (B_phi @ w) * phi
     next_mu = (w @ multiply(handle, A, w)) / (w @ multiply(handle, B, w))
     return jnp.abs(next_mu - mu) / jnp.maximum(jnp.abs(mu), jnp.abs(next_mu))

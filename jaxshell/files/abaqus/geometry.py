@@ -19,6 +19,8 @@ SHELLS = (
     "S3", "S3R", "S3RS", "STRI3", "S4", "S4R", "S4RS", "S4RSW", "S4R5", "S6", "STRI65", "S8", "S8R", "S8R5", "S9R5",
 )  # fmt: skip
 """Element types that are carried over."""
+LUMPS = ("MASS", "ROTARYI")
+"""Element types of one node, which are carried over as point masses."""
 _OF_MESH = ("NODE", "ELEMENT", "NSET", "ELSET", "SURFACE", "ASSEMBLY", "ENDASSEMBLY")
 
 
@@ -48,7 +50,7 @@ class Geometry:
         notes.missing += [
             f"{number} elements of type {kind}, which are no shells"
             for kind, number in kinds.items()
-            if kind not in SHELLS
+            if kind not in SHELLS and kind not in LUMPS
         ]
         notes.carried.update({f"{kind} elements of the file": kinds[kind] for kind in kinds if kind in SHELLS})
         self._inp, self._shell = inp, shell
@@ -85,6 +87,27 @@ class Geometry:
                 name = self._element_sets[name]
                 return self._target(name, np.unique(self._inp.cells.element_sets[name]))
         raise ValueError(f"{where}: there is no element {'' if text.isdigit() else 'set '}{text}.")
+
+    def has(self, kind: str) -> bool:
+        """Whether the file has elements of a type."""
+        return kind in self._inp.types
+
+    def lumped(self, text: str, scope: Scope, where: str, kind: str) -> tuple[np.ndarray, int]:
+        """The nodes (k,) of the mesh that the elements of one node of this type have in a set, and how many elements
+        are at nodes of no shell. Raises ValueError where there is no such set."""
+        for name, label in _readings(text, scope):
+            if label is None and name in self._element_sets:
+                cells = np.unique(self._inp.cells.element_sets[self._element_sets[name]])
+                break
+        else:
+            raise ValueError(f"{where}: there is no element set {text}.")
+        start, points = 0, np.zeros(len(self._inp.types), int)
+        for _, block in self._inp.cells.blocks:
+            points[start : start + len(block)] = block[:, 0]
+            start += len(block)
+        chosen = [cell for cell in cells if self._inp.types[cell] == kind]
+        nodes = self._numbering.nodes[points[chosen]]
+        return nodes[nodes >= 0], int(np.sum(nodes < 0))
 
     def surface(self, text: str, scope: Scope, where: str) -> list[tuple[Target, np.ndarray, str]]:
         """(table's word, triangles, face) of each face by which a surface has elements: SPOS, SNEG or another.

@@ -6,6 +6,7 @@ from typing import Any
 
 from jaxshell.files.abaqus.geometry import Geometry, Scope, beside_the_mesh
 from jaxshell.files.abaqus.loads import Loads
+from jaxshell.files.abaqus.masses import MASSES, Masses
 from jaxshell.files.abaqus.materials import IN_MATERIALS, Material, add, is_beyond
 from jaxshell.files.abaqus.orientations import Orientation
 from jaxshell.files.abaqus.sections import SECTIONS, Sections
@@ -21,7 +22,7 @@ _OUTPUT = (
 _SILENT = ("HEADING", "PREPRINT", "ENDSTEP", "STEP", "NOMAP")
 """Cards without physics."""
 _STRUCTURAL = (
-    "MASS", "ROTARYINERTIA", "NONSTRUCTURALMASS", "RIGIDBODY", "MPC", "EQUATION", "TIE", "COUPLING", "KINEMATIC",
+    "NONSTRUCTURALMASS", "RIGIDBODY", "MPC", "EQUATION", "TIE", "COUPLING", "KINEMATIC",
     "DISTRIBUTING", "KINEMATICCOUPLING", "DISTRIBUTINGCOUPLING", "SPRING", "DASHPOT", "CONNECTORSECTION", "FASTENER",
     "BEAMSECTION", "BEAMGENERALSECTION", "SOLIDSECTION", "MEMBRANESECTION", "TRANSFORM", "CONTACT", "CONTACTPAIR",
     "CONTACTINCLUSIONS", "SHELLTOSOLIDCOUPLING", "EMBEDDEDELEMENT", "FOUNDATION", "REBARLAYER", "GAP", "DISPLAYBODY",
@@ -57,9 +58,13 @@ def read_abaqus(path: Path, second_order: str) -> Draft:
     for card, scope in in_model + in_step:  # amplitudes stand anywhere
         if card.keyword == "AMPLITUDE":
             loads.amplitude(card)
+    masses = Masses(geometry, notes)
     for position, (card, scope) in enumerate(in_model + in_step):
-        _carry(card, scope, sections, loads, notes, position >= len(in_model))
-    tables = {**sections.tables(), **loads.tables()}
+        if card.keyword in MASSES:
+            masses.add(card, scope)
+        else:
+            _carry(card, scope, sections, loads, notes, position >= len(in_model))
+    tables = {**sections.tables(), **loads.tables(), **masses.tables()}
     damping = tables.pop("damping", None)
     if damping is not None:
         tables["damping"] = damping

@@ -7,6 +7,7 @@ from jaxshell.files.draft import Draft, Notes
 from jaxshell.files.nastran.control import Deck, deck_of_file
 from jaxshell.files.nastran.geometry import SHELLS, Geometry
 from jaxshell.files.nastran.loads import BEYOND, STATIC, Loads
+from jaxshell.files.nastran.masses import MASSES, masses_of
 from jaxshell.files.nastran.sections import PROPERTIES, Sections
 from jaxshell.model.mesh_files import coordinates
 from jaxshell.model.mesh_files.bulk_data import Card, read_file
@@ -20,7 +21,7 @@ _SOLUTIONS = {
 _READ = (
     *coordinates.CARDS, *SHELLS, *PROPERTIES, "MAT1", "MAT8", "MAT2", "MAT9", "MAT10", "SPC", "SPC1", "SPCADD", "LOAD",
     "DLOAD", *STATIC, *BEYOND, "TLOAD1", "LSEQ", "DAREA", "TABLED1", "TSTEP", "TSTEPNL", "EIGRL", "EIGR", "EIGB",
-    "NLPARM", "PARAM",
+    "NLPARM", "PARAM", *MASSES,
 )  # fmt: skip
 """Cards that are looked at; loads that are not chosen have no part in the answer."""
 _HARMLESS = ("PLOTEL", "SET", "ASET", "ASET1", "QSET", "QSET1", "SUPORT", "SUPORT1", "MDLPRM", "NASTRAN", "EIGC")
@@ -47,7 +48,8 @@ def read_nastran(path: Path, second_order: str) -> Draft:
         if key in case:
             notes.missing.append(f"{key} = {case[key]} of case control")
     _list_others(deck, notes)
-    tables = {"name": Path(path).stem, **sections, **loads.tables(), "run": run}
+    masses = masses_of(deck, geometry, notes, _mass(deck))
+    tables = {"name": Path(path).stem, **sections, **loads.tables(), **masses, "run": run}
     return Draft(Path(path), geometry.mesh, tables, notes)
 
 
