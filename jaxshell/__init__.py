@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from jaxshell.model.imperfection import RandomField
     from jaxshell.model.initial import Initial
     from jaxshell.model.loads import (
+        Centrifugal,
         DeadPressure,
         EdgeForce,
         EdgeMoment,
@@ -100,6 +101,7 @@ __all__ = [
     "Box",
     "BucklingModes",
     "CentralDifference",
+    "Centrifugal",
     "Checkpointed",
     "Cylinder",
     "Cylindrical",
@@ -210,6 +212,7 @@ _HOMES = {
     "model.imperfection": ["RandomField"],
     "model.initial": ["Initial"],
     "model.loads": [
+        "Centrifugal",
         "DeadPressure",
         "EdgeForce",
         "EdgeMoment",

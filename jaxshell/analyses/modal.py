@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 from scipy.linalg import LinAlgError, eig, eigh
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs, eigsh, splu
 
+from jaxshell.analyses import spinning
 from jaxshell.analyses.statics import proportional
 from jaxshell.assembly.discretised import Model, elimination_of, structure_of
 from jaxshell.assembly.sparsity import SparsityPattern
@@ -56,6 +57,10 @@ class Modes(eqx.Module):
     shapes: Float[Array, "c n 6"]
     """Nodal displacements and spins, mass-normalised: φᵀ M φ = 1. Their derivatives are NaN where another frequency is
     equal."""
+    quarter: Float[Array, "c n 6"] | None = None
+    """Of a scene whose axes spin: what is added to the shapes a quarter of a period later, φ cos ωt - (·) sin ωt."""
+    growth: Float[Array, " c"] | None = None
+    """Of such a scene, [1/time]: amplitudes go with exp(growth · t); zero where the state is stable."""
 
     def save(self, path, scene: Scene) -> None:
         """Write the modes and the scene that they are of; `jaxshell plot` draws the file.
@@ -101,25 +106,33 @@ def natural_frequencies(
     """Lowest natural frequencies [Hz] and their modes, small vibrations about a given state.
 
     Arguments:
-        scene: the shell; its loads matter only as follower pressure (stiffness of the load). Differentiable in
-            its floats, for frequencies that no other frequency equals.
+        scene: the shell; its loads matter only as follower pressure (stiffness of the load), and `Centrifugal`, which
+            says that the axes spin: see below. Differentiable in its floats, for frequencies that no other frequency
+            equals.
         count: how many. About an unstable state those whose squares are nearest zero: growing motions that are
             faster need a larger count to be found.
         about: a solution, about whose last frame the shell vibrates, with its stresses; static or dynamic. None
             is the state at the start, with the scene's initial displacements and rotations.
         rigid_modes: whether motions as a rigid body, of frequency 0, are reported; six for a free shell.
 
+    In axes that spin (a `Centrifugal` load) gyroscopic forces couple motions that are a quarter of a period apart:
+    frequencies are those of the complex pairs, seen from these axes, and differentiate once; `Modes.quarter` and
+    `Modes.growth` say more of them. Take `about` from `solve_static` of the same scene: the load factor f spins with √f
+    times the load's `spin`.
+
     Raises ValueError for a count out of range, RuntimeError when the iteration does not converge.
     """
     require_float64()
     tables, pattern = analyse(structure_of(scene))
-    _check_count(count, pattern.size)
+    _check_count(count, pattern.size + 2 * bool(scene.spins))
     state = _initial_state(scene) if about is None else (about.frame(-1).displacements, about.frame(-1).rotations)
     time = jnp.zeros(()) if about is None else about.times[-1]
     if about is not None and about.analysis == "static":
         scene = proportional(scene)
     *values, units, soft, shift = _vibration_matrices(scene, tables, state, time, about is not None)
     K, M = (_posed(pattern, units, v) for v in values)
+    if scene.spins:
+        return _spinning(scene, tables, pattern, state, time, count, (K, M, units, shift))
     spare = 0 if rigid_modes else 6 * connected_parts(scene.mesh.triangles, scene.mesh.n_nodes)[0]
 
     def solve(K, M, shift):
@@ -142,6 +155,39 @@ def natural_frequencies(
     safe = jnp.where(still, 1.0, jnp.abs(omega_sq))
     frequencies = jnp.where(still, 0.0, jnp.sign(omega_sq) * jnp.sqrt(safe)) / (2 * jnp.pi)
     return Modes(frequencies, _nodal(scene, tables, state[1], units * eigenvectors(pencil, vectors)))
+
+
+def _spinning(scene: Scene, tables: Tables, pattern: SparsityPattern, state, time, count: int, posed) -> Modes:
+    """The modes of a scene whose axes spin."""
+    K, M, units, shift = posed
+    with jax.ensure_compile_time_eval():
+        rows, columns = jnp.asarray(pattern.rows), jnp.asarray(pattern.indices.array)
+    G = scaled(_gyroscopic(scene, tables, state, time), rows, columns, units)
+
+    def solve(K, G, M, shift):
+        # λ as a multiple of √unit, so that all entries are near 1.
+        size, unit = _power_of_two(np.abs(K).max()), _power_of_two(shift)
+        K, G, M = (_sparse(pattern, v) for v in (K / size, G * (np.sqrt(unit) / size), M * (unit / size)))
+        found = spinning.pairs(K, G, M, count)
+        found[:, 2, :2] *= np.sqrt(unit)
+        return found
+
+    found = _on_host(solve, (count, 3, pattern.size), K, G, M, shift)
+    real, imaginary, growth = found[:, 0], found[:, 1], found[:, 2, 0]
+    norm = quadratic(pattern, jax.lax.stop_gradient(M), real) + quadratic(pattern, jax.lax.stop_gradient(M), imaginary)
+    real, imaginary = (part / jnp.sqrt(norm)[:, None] for part in (real, imaginary))
+    stable = growth == 0
+    omega = jnp.where(stable, spinning.frequencies(pattern, K, G, M, real, imaginary), found[:, 2, 1])
+    first, second = (_nodal(scene, tables, state[1], units * part) for part in (real, imaginary))
+    return Modes(omega / (2 * jnp.pi), first, second, growth)
+
+
+@compiled
+def _gyroscopic(scene: Scene, tables: Tables, state, time):
+    """Values of the gyroscopic matrix over the free degrees of freedom."""
+    model = Model.build(scene, tables)
+    still = jnp.broadcast_to(jnp.eye(3), (model.x0.shape[0], 3, 3))
+    return spinning.gyroscopic(model, scene, model.whole(state[1], still), time)
 
 
 def linear_buckling(scene: Scene, count: int = 5) -> BucklingModes:
@@ -291,7 +337,7 @@ def _stressed(model: Model, at_rest, nodal: Float[Array, "n 6"]):
 # --- eigenvalues on the host ------------------------------------------------------------------------------
 
 
-def _on_host(function, shape, *values) -> Float[Array, "c nf"]:
+def _on_host(function, shape, *values) -> Float[Array, "c *nf"]:
     """Eigenvectors by a function of NumPy arrays, also while JAX traces; constants for its derivatives."""
     values = jax.lax.stop_gradient(values)
     result = jax.ShapeDtypeStruct(shape, jnp.float64)

@@ -100,6 +100,12 @@ def simulate(
     require_float64()
     newton = Newton() if newton is None else newton
     check_options(scene, method, save_every, tangent, newton)
+    for position, load in enumerate(scene.loads):
+        if not load.in_time:
+            raise ValueError(
+                f"load {position} ({load.kind}) has no place in a run in time, which would need the gyroscopic forces "
+                "of axes that spin: drive the hub by Support(rotation=...)."
+            )
     steps = _controlled(scene, method, dt, t_end) if isinstance(dt, StepControl) else step_sizes(dt, t_end)
     method.check(scene, np.asarray([dt.initial]) if isinstance(dt, StepControl) else steps)
     if not isinstance(steps, Controlled):

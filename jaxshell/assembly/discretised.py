@@ -184,6 +184,8 @@ class Model(eqx.Module):
             resultants.A,
             lambda: scene.section.layers(scene.mesh),
             scene.mesh.triangles,
+            elements.rotary_inertia,
+            elements.first_moment,
         )
         moving = tuple(motion_of(support, x0, scene.initial) for support in scene.supports if support.moves)
         damping = None if scene.damping is None else scene.damping.per_element(scene.mesh.n_elements)

@@ -18,6 +18,7 @@ from jaxshell.elements.corotational import Element
 from jaxshell.numerics import rotations
 from jaxshell.numerics.checks import Real
 from jaxshell.numerics.products import cross, dot, product
+from jaxshell.numerics.triangles import LINEAR_MASS
 
 
 def _seven_point_rule() -> tuple[np.ndarray, np.ndarray]:
@@ -34,8 +35,6 @@ def _seven_point_rule() -> tuple[np.ndarray, np.ndarray]:
 
 
 GAUSS_POINTS, GAUSS_WEIGHTS = _seven_point_rule()
-LINEAR_MASS = (np.ones((3, 3)) + np.eye(3)) / 12.0
-"""∫ N_a N_b dA / A."""
 
 
 class Spins(eqx.Module):

@@ -100,6 +100,7 @@ _KNOWN: dict[str, Schema] = {
 }
 """Arguments that are more than a number, or one for each element."""
 _OF_LOADS: dict[str, Schema] = {
+    "centre": _said(VECTOR, "a point of the axis; default the origin"),
     "direction": _said(_any(VECTOR, _list(VECTOR)), "the first axis of the components, in the surface"),
     "axes": _said({"enum": list(AXES)}, "what the components are along"),
     "level": _said(

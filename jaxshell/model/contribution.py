@@ -48,6 +48,10 @@ class Surface(NamedTuple):
     """Gives the sections' `Layers`, or None where a section has none: called by those that need a thickness."""
     connectivity: Any = None
     """`triangles` as static numbers."""
+    rotary_inertia: Any = None
+    """(m,) ∫ρ z² dz."""
+    first_moment: Any = None
+    """(m,) ∫ρ z dz; None where it vanishes."""
 
 
 class Place(NamedTuple):

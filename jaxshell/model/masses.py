@@ -1,6 +1,6 @@
 """Point masses: mass and inertia tensors at nodes, besides the shell's own."""
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -58,13 +58,13 @@ class PointMass(OfSets):
         check_on_mesh("point mass", "node", self.nodes.array, mesh.n_nodes)
 
 
-class Masses(NamedTuple):
+class Masses(eqx.Module):
     """All point masses of a scene, those of rigid bodies too."""
 
-    nodes: Frozen
+    nodes: Frozen = eqx.field(static=True)
     """(k,) a node may be there twice."""
     mass: Float[Array, " k"]
-    turning: Frozen
+    turning: Frozen = eqx.field(static=True)
     """(r,) nodes with an inertia tensor."""
     inertia: Float[Array, "r 3 3"]
 

@@ -17,7 +17,7 @@ from jaxshell.model.gauge import check_gauge, gauge_of
 from jaxshell.model.history import History
 from jaxshell.model.initial import Initial
 from jaxshell.model.items import Item, check_names, check_quantity, named
-from jaxshell.model.loads import InitialStrains, Load
+from jaxshell.model.loads import Centrifugal, InitialStrains, Load
 from jaxshell.model.masses import Masses, PointMass
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.obstacles import Obstacle
@@ -146,6 +146,8 @@ class Scene(eqx.Module):
                 if nodes is not None:
                     check_on_mesh(f"{kind} {position}", "node", nodes.array, n)
         self._check_items()
+        if len(self.spins) > 1:
+            raise ValueError("A scene's axes spin in one way: give one Centrifugal load.")
         for label, number, component in self.watch:
             self._check_watched(f"watch {label!r}", number, component)
         if self.initial is not None:
@@ -210,8 +212,15 @@ class Scene(eqx.Module):
 
     @property
     def contributions(self) -> tuple[Contribution, ...]:
-        """What follows the motion: loads that do, connectors, obstacles, in that order."""
-        return tuple(part for item in self._contributing for part in item.parts())
+        """What follows the motion: loads, connectors, obstacles, what loads do to point masses, in that order."""
+        masses = self.point_masses
+        spun = () if masses is None else tuple(load.on_masses_of(masses) for load in self.spins)
+        return (*(part for item in self._contributing for part in item.parts()), *spun)
+
+    @property
+    def spins(self) -> tuple[Centrifugal, ...]:
+        """The loads that say that the scene's axes spin."""
+        return tuple(load for load in self.loads if isinstance(load, Centrifugal))
 
     def contributions_of(self, item: Item) -> range:
         """Which of them are parts of an item."""

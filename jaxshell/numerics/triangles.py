@@ -1,6 +1,7 @@
-"""The local frame of a triangle."""
+"""The local frame of a triangle, and its mass."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.numerics.products import cross
@@ -15,3 +16,7 @@ def local_frame(x: Float[Array, "3 3"]) -> tuple[Float[Array, "3 3"], Float[Arra
     e1, e3 = a / length, normal / double_area
     frame = jnp.stack([e1, cross(e3, e1), e3])
     return frame, jnp.stack([length, jnp.sum(b * e1), double_area / length])
+
+
+LINEAR_MASS = (np.ones((3, 3)) + np.eye(3)) / 12.0
+"""∫ N_a N_b dA / A, of linear functions."""

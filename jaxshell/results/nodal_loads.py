@@ -36,7 +36,8 @@ def _nodal(scene: Scene) -> list[Float[Array, "n 6"]]:
     area = 0.5 * plane[:, 0] * plane[:, 2]
     found = scene.section.resultants(scene.mesh)
     layers, static = lambda: scene.section.layers(scene.mesh), scene.mesh.triangles
-    surface = Surface(x0, triangles, found.mass_per_area, area, frames[:, 2], jnp.ones(()), found.A, layers, static)
+    of_sections = found.A, layers, static, found.rotary_inertia, found.first_moment
+    surface = Surface(x0, triangles, found.mass_per_area, area, frames[:, 2], jnp.ones(()), *of_sections)
     found = []
     for load in scene.loads:
         if isinstance(load, DeadLoad):

@@ -2,6 +2,7 @@
 
 from jaxshell.model.history import History
 from jaxshell.model.loads.base import DeadLoad, Load
+from jaxshell.model.loads.centrifugal import Centrifugal
 from jaxshell.model.loads.edge import EdgeForce, EdgeMoment
 from jaxshell.model.loads.follower_edge import FollowerEdgeForce
 from jaxshell.model.loads.follower_force import FollowerForce
@@ -19,6 +20,7 @@ LOADS: tuple[type[Load], ...] = (
     EdgeForce,
     EdgeMoment,
     Gravity,
+    Centrifugal,
     Pressure,
     HydrostaticPressure,
     DeadPressure,
@@ -33,6 +35,7 @@ LOADS: tuple[type[Load], ...] = (
 
 __all__ = [
     "LOADS",
+    "Centrifugal",
     "DeadLoad",
     "DeadPressure",
     "EdgeForce",

@@ -23,6 +23,8 @@ class Load(OfSets):
     """The field, and the key in scene files, that holds its full value."""
     acts_on: ClassVar[str] = "nodes"
     """What scene files choose for it: "nodes", "edges", or "shell" for all of it."""
+    in_time: ClassVar[bool] = True
+    """Whether runs in time can have it."""
 
     history: eqx.AbstractVar[History]
 
