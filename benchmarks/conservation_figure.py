@@ -18,7 +18,8 @@ import numpy as np
 from pages import fill  # beside this script
 
 import jaxshell as js
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.plotting.style import STYLE, WIDTH, line
 

@@ -33,7 +33,8 @@ from matplotlib import cm, colors, patches
 
 import jaxshell as js
 from benchmarks.pages import fill, table
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import nodal_tables
 from jaxshell.elements import corotational
 from jaxshell.methods import Method

@@ -5,7 +5,8 @@ import numpy as np
 
 import jaxshell as js
 from jaxshell.analyses.statics import proportional
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 
 

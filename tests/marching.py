@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from properties import numbers, powers, vectors
 
 import jaxshell as js
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.elements.corotational import internal_force
 from jaxshell.methods.base import Observation, Solvers

@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import csr_matrix
 
 import jaxshell as js
-from jaxshell.assembly.discretised import structure_of
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import GatherSum, analyse
 from jaxshell.model.generators import rectangle
 

@@ -12,7 +12,8 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 import jaxshell as js
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.methods.base import Solvers, _problem
 from jaxshell.methods.bathe import ThreePointBackward

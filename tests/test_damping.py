@@ -12,7 +12,8 @@ import pytest
 from sensitivity import check_derivatives
 
 import jaxshell as js
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.elements import corotational, energy_momentum, inertia
 from jaxshell.files.scene_file import read_scene_file

@@ -8,7 +8,8 @@ from scipy.sparse import csr_matrix
 from test_methods import ends, order, strip
 
 import jaxshell as js
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.elements.inertia import Spins
 from jaxshell.methods.base import Solvers, _problem

@@ -10,7 +10,8 @@ import sensitivity
 from layups import CARBON
 
 import jaxshell as js
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.elements import corotational, energy_momentum
 from jaxshell.elements.corotational import Element

@@ -18,7 +18,7 @@ from systems import (
     to_dense,
 )
 
-from jaxshell.assembly.discretised import structure_of
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.scenes import spherical_cap
 from jaxshell.solvers.linear_solver import (

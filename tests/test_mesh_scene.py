@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import jaxshell as js
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.model.generators import rectangle
 

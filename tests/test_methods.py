@@ -12,7 +12,8 @@ import scipy.linalg
 from scipy.spatial.transform import Rotation
 
 import jaxshell as js
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.elements import corotational
 from jaxshell.elements.inertia import PointStart, Spins

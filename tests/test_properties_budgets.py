@@ -20,7 +20,8 @@ from marching import CLOSED, NEWTON, STEPS, TIME_STEPS, N, resultant, shells, si
 from properties import PROFILE, powers
 
 import jaxshell as js
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.elements.inertia import Spins
 from jaxshell.methods import seven_point

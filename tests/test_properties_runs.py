@@ -31,7 +31,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxshell as js
 from jaxshell import scenes
-from jaxshell.assembly.discretised import structure_of
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 
 # --- EnergyMomentum ---------------------------------------------------------------------------------------

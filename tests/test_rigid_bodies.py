@@ -11,7 +11,8 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 import jaxshell as js
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.methods.static import Static
 from jaxshell.model import generators

@@ -12,7 +12,8 @@ from scipy.special import ellipk
 import jaxshell as js
 from jaxshell.analyses import modal, stability
 from jaxshell.analyses.statics import proportional
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.model import generators
 

@@ -11,7 +11,8 @@ from linear import displacements
 import jaxshell as js
 from jaxshell import scenes
 from jaxshell.analyses.statics import LoadFactor, proportional
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.methods.static import Static
 from jaxshell.model import generators

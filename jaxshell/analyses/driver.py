@@ -14,7 +14,7 @@ import numpy as np
 from jaxshell.analyses import program
 from jaxshell.analyses.program import Carry, Frame, Plan, Record
 from jaxshell.assembly.conditions import check_conditions
-from jaxshell.assembly.discretised import structure_of
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import Tables, analyse, nodal_tables
 from jaxshell.files.quoted import quote
 from jaxshell.gradients import Gradients

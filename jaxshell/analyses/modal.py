@@ -24,8 +24,9 @@ from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs, eigsh
 
 from jaxshell.analyses import spinning
 from jaxshell.analyses.statics import proportional
-from jaxshell.assembly.discretised import Model, elimination_of, structure_of
+from jaxshell.assembly.discretised import Model, elimination_of
 from jaxshell.assembly.sparsity import SparsityPattern
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import Tables, analyse
 from jaxshell.elements import corotational
 from jaxshell.elements.inertia import mass_matrix

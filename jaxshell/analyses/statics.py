@@ -33,7 +33,8 @@ from jaxshell.analyses.driver import (
 from jaxshell.analyses.program import Carry, Plan
 from jaxshell.analyses.progress import Progress
 from jaxshell.analyses.stability import Path
-from jaxshell.assembly.discretised import Model, structure_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import Tables, analyse
 from jaxshell.gradients import Stored
 from jaxshell.methods.static import Static, StaticState, reactions_at

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
-from jaxshell.assembly.discretised import structure_of
+from jaxshell.assembly.structure import structure_of
 from jaxshell.elements.corotational import local_frame
 from jaxshell.model.contribution import Constraint, Place, Surface, gradient_between
 from jaxshell.model.scene import Scene

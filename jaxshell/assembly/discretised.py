@@ -6,132 +6,24 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxshell.assembly.acting import Acting
 from jaxshell.assembly.driven import Motion, Turned, motion_of
 from jaxshell.assembly.elimination import Blocks, Elimination
 from jaxshell.assembly.gauges import Watching, watching
-from jaxshell.assembly.lumps import Lumps, lumped_nodes, lumps_of
+from jaxshell.assembly.lumps import Lumps, lumps_of
 from jaxshell.assembly.readings import Reading, readings
-from jaxshell.assembly.tables import Structure, Tables
+from jaxshell.assembly.structure import groups_of
+from jaxshell.assembly.tables import Tables
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
-from jaxshell.model.contribution import Constraint, Contribution, Elastic, Place, Resisting, Surface, displaced
+from jaxshell.model.contribution import Constraint, Surface
 from jaxshell.model.damping import Damping
 from jaxshell.model.history import History
 from jaxshell.model.loads import DeadLoad
 from jaxshell.model.scene import Scene
-from jaxshell.numerics.frozen import Frozen
 from jaxshell.numerics.fusion import formed
-
-
-class Acting(eqx.Module):
-    """A contribution with the nodes that it acts on and what it prepared."""
-
-    contribution: Contribution
-    data: Any
-    nodes: Int[Array, "k c"]
-    entries: Int[Array, " e"] | None
-    """Of its matrices, entry by entry: its place in the sparse matrix; None where there is none."""
-    on_elements: bool = eqx.field(static=True)
-    """Its groups are the elements' corners: it is summed with them."""
-
-    def places(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Place:
-        """Its groups, each leaf with a leading axis k."""
-        times = jnp.broadcast_to(time, self.nodes.shape[:1])
-        return Place(x[self.nodes], R[self.nodes], times)
-
-    @property
-    def constrains(self) -> bool:
-        return isinstance(self.contribution, Constraint)
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether its work is external work."""
-        return not isinstance(self.contribution, Elastic | Resisting | Constraint)
-
-    @property
-    def is_elastic(self) -> bool:
-        return isinstance(self.contribution, Elastic)
-
-    @property
-    def is_driven(self) -> bool:
-        return isinstance(self.contribution, Elastic) and self.contribution.driven
-
-    @property
-    def is_carried(self) -> bool:
-        """Whether it resists against something that moves."""
-        return isinstance(self.contribution, Resisting) and self.contribution.driven
-
-    @property
-    def resists(self) -> bool:
-        return isinstance(self.contribution, Resisting)
-
-    def forces(self, place: Place) -> Float[Array, "k c 6"]:
-        return jax.vmap(self.contribution.force)(self.data, place)
-
-    def energy(self, place: Place) -> Float[Array, ""]:
-        """Of all groups of an elastic one."""
-        assert isinstance(self.contribution, Elastic)
-        return jnp.sum(jax.vmap(self.contribution.energy)(self.data, place))
-
-    def resistance(self, start: Place, end: Place, middle: Place, rates: Float[Array, "k c 6"]):
-        """(k, c, 6) of a resisting one."""
-        assert isinstance(self.contribution, Resisting)
-        return jax.vmap(self.contribution.resistance)(self.data, start, end, middle, rates)
-
-    def carried(self, start: Place, end: Place) -> Float[Array, "k c 6"]:
-        """Increments of what a resisting one moves against."""
-        assert isinstance(self.contribution, Resisting)
-        return jax.vmap(self.contribution.carried)(self.data, start, end)
-
-    def stiffest(self, place: Place) -> Float[Array, "k d d"]:
-        """Of all groups of an elastic one."""
-        assert isinstance(self.contribution, Elastic)
-        return jax.vmap(self.contribution.stiffest)(self.data, place)
-
-    def stiffness(self, place: Place) -> Float[Array, "k d d"]:
-        return jax.vmap(self.contribution.stiffness)(self.data, place)
-
-    def mean_stiffness(self, start: Place, end: Place) -> Float[Array, "k d d"]:
-        return jax.vmap(self.contribution.mean_stiffness)(self.data, start, end)
-
-    def balanced(self, place: Place) -> Float[Array, "k c 6"]:
-        """Of a constraint, in a state."""
-        assert isinstance(self.contribution, Constraint)
-        constraint = self.contribution
-        return jax.vmap(lambda data, place: constraint.balanced(data, place, place, 1.0))(self.data, place)
-
-    def constraint_stiffness(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, "k d d"]:
-        """Of a constraint by displacements and spins, multipliers among them: as they stand in the stiffness."""
-        assert isinstance(self.contribution, Constraint)
-        constraint = self.contribution
-
-        def one(data, place):
-            def balanced(change):
-                return -constraint.balanced(data, place, displaced(place, change), 1.0).reshape(-1)
-
-            return jax.jacfwd(balanced)(jnp.zeros(6 * place.x.shape[0]))
-
-        return jax.vmap(one)(self.data, self.places(x, R, time))
-
-    def bending_of_motion(self, x, R, time, rates: Float[Array, "n 6"], known: Float[Array, "n 6"]):
-        """(k, c, 6) what the conditions of a constraint are accelerated by in a motion with these rates and with no
-        accelerations but the known: at the nodes of the multipliers, and with their unit."""
-        assert isinstance(self.contribution, Constraint)
-        constraint = self.contribution
-
-        def one(data, place, rates, known):
-            def along(t):
-                change = (t * rates + 0.5 * t * t * known).reshape(-1)
-                return constraint.balanced(data, place, displaced(place, change), 1.0)
-
-            return jax.jvp(lambda t: jax.jvp(along, (t,), (1.0,))[1], (0.0,), (1.0,))[1]
-
-        # Where multipliers vanish, so do the forces on the other nodes.
-        x = x.at[self.nodes[:, -constraint.multipliers :]].set(0.0)
-        return jax.vmap(one)(self.data, self.places(x, R, time), rates[self.nodes], known[self.nodes])
 
 
 class Model(eqx.Module):
@@ -540,70 +432,12 @@ def rest_deformations(scene: Scene, elements: Element) -> tuple[Float[Array, "m 
     return tuple(jax.vmap(corotational.constant_strains)(elements.coordinates, *strains) for strains in free)
 
 
-def structure_of(scene: Scene) -> Structure:
-    """The static part of a scene that the sparsity depends on."""
-    groups = tuple(nodes for nodes in _groups(scene) if nodes != scene.mesh.connectivity)
-    if (lumped := lumped_nodes(scene)).size:
-        groups = (*groups, Frozen(lumped[:, None]))
-    held, unused, mesh = scene.held, _unused(scene), scene.mesh
-    return Structure(
-        mesh.connectivity,
-        mesh.n_nodes + _multipliers(scene),
-        Frozen(np.concatenate([held.array, unused])) if unused.size else held,
-        groups,
-        _extended(scene.masters, scene),
-        scene.turned,
-        _multipliers(scene),
-        len(held.array),
-    )
-
-
-def _multipliers(scene: Scene) -> int:
-    """How many nodes hold the multipliers of a scene's constraints."""
-    own = scene.mesh.triangles
-    return sum(c.multipliers * len(c.groups(own).array) for c in scene.contributions if isinstance(c, Constraint))
-
-
-def _unused(scene: Scene) -> np.ndarray:
-    """Degrees of freedom of the multipliers' nodes that hold none."""
-    found, node = [np.zeros(0, int)], scene.mesh.n_nodes
-    for contribution in scene.contributions:
-        if isinstance(contribution, Constraint):
-            k, m = len(contribution.groups(scene.mesh.triangles).array), contribution.multipliers
-            slots = 6 * (node + np.arange(k * m).reshape(k, m))[:, :, None] + np.arange(6)
-            is_used = np.zeros((m, 6), bool)
-            is_used[:, :3].flat[: contribution.count] = True
-            found.append(slots[:, ~is_used].ravel())
-            node += k * m
-    return np.sort(np.concatenate(found))
-
-
-def _extended(masters: Frozen | None, scene: Scene) -> Frozen | None:
-    """With the multipliers' nodes, which follow none."""
-    if masters is None or not _multipliers(scene):
-        return masters
-    return Frozen(np.concatenate([masters.array, scene.mesh.n_nodes + np.arange(_multipliers(scene))]))
-
-
 def elimination_of(scene: Scene, tables: Tables) -> Elimination | None:
     """What of a scene's nodes is no unknown; None where there is none such."""
     if tables.dependent is None:
         return None
     x0, dependent = scene.mesh.nodes, tables.dependent
     return Elimination(dependent, x0[dependent.followers] - x0[dependent.masters], scene.axes)
-
-
-def _groups(scene: Scene) -> list[Frozen]:
-    """Of the contributions, with the nodes of multipliers behind those of the mesh."""
-    found, node = [], scene.mesh.n_nodes
-    for contribution in scene.contributions:
-        nodes = contribution.groups(scene.mesh.triangles)
-        if isinstance(contribution, Constraint):
-            k, m = len(nodes.array), contribution.multipliers
-            nodes = Frozen(np.concatenate([nodes.array, node + np.arange(k * m).reshape(k, m)], axis=1))
-            node += k * m
-        found.append(nodes)
-    return found
 
 
 def _size(scene: Scene) -> Float[Array, ""]:
@@ -643,7 +477,7 @@ def _lumps(scene: Scene, tables: Tables) -> Lumps | None:
 def _acting(scene: Scene, tables: Tables, surface: Surface, unit) -> tuple[Acting, ...]:
     """The scene's contributions; groups that are not the elements' own follow each other in the tables."""
     found, others = [], iter(_placed(tables))
-    for contribution, nodes in zip(scene.contributions, _groups(scene), strict=True):
+    for contribution, nodes in zip(scene.contributions, groups_of(scene), strict=True):
         own = nodes == scene.mesh.connectivity
         indices, entries = (tables.triangles, None) if own else next(others)
         data = contribution.data(surface)

@@ -14,7 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxshell.assembly.discretised import Acting, Model
+from jaxshell.assembly.acting import Acting
+from jaxshell.assembly.discretised import Model
 from jaxshell.gradients import keep
 from jaxshell.methods.predictor import extrapolate
 from jaxshell.model.contribution import Constraint, Contribution, Place, Resisting, between
