@@ -234,6 +234,7 @@ def test_step_size_may_change_freely():
         strip(loads=pulse()), js.EnergyMomentum(), dt=steps, newton=NEWTON, linear_solver=js.Dense(), save_every=50
     )
     balance = np.asarray(solution.energy.total - solution.energy.external_work)
+    balance = balance - balance[0]  # what the support's velocity brings at once
     assert np.abs(balance).max() < 1e-12 * np.max(np.asarray(solution.energy.total))
     assert drift(solution.momentum.angular, after_pulse(solution)) < 1e-12
 
@@ -307,6 +308,7 @@ def test_prescribed_motion_and_pressure_balance():
     scene = strip(supports=[shake, held], loads=[js.Pressure(20.0), js.Gravity([0.0, 0.0, -2.0])])
     solution = run(scene)
     balance = np.asarray(solution.energy.total - solution.energy.external_work)
+    balance = balance - balance[0]  # what the support's velocity brings at once
     assert np.abs(balance).max() < 1e-12 * np.max(np.asarray(solution.energy.total))
     assert float(solution.displacements[1, 0, 2]) == pytest.approx(-0.05, rel=1e-14)
 

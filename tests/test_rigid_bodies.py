@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -254,7 +255,7 @@ def test_gradients_by_mass_inertia_and_the_place_of_the_reference():
     def height(mass, inertia, arm):
         masses = [js.PointMass(scene.masses[0].nodes.array, mass, inertia * jnp.eye(3))]
         nodes = scene.mesh.nodes.at[1, 2].set(arm)
-        mesh = dataclasses.replace(scene.mesh, nodes=nodes)
+        mesh = eqx.tree_at(lambda mesh: mesh.nodes, scene.mesh, nodes)
         made = dataclasses.replace(scene, mesh=mesh, masses=masses, initial=js.Initial(
             angular_velocities=scene.initial.angular_velocities,
             velocities=scene.initial.velocities * arm / 0.5,

@@ -41,9 +41,19 @@ def write_array(group, name: str, value) -> Any:
     if array.nbytes <= _SMALL:
         layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
         layout.set_layout(h5py.h5d.COMPACT)
+        if not array.ndim:
+            return _single(group, name, array, layout)
         return group.create_dataset(name, data=array, dcpl=layout)
     rows = max(1, min(len(array), _CHUNK * len(array) // array.nbytes))
     return group.create_dataset(name, data=array, chunks=(rows, *array.shape[1:]), fletcher32=True)
+
+
+def _single(group, name: str, array: np.ndarray, layout) -> Any:
+    """A single value in its object's header, which has a checksum: h5py would put it beside, where nothing looks."""
+    kind, space = h5py.h5t.py_create(array.dtype, logical=True), h5py.h5s.create(h5py.h5s.SCALAR)
+    dataset = h5py.Dataset(h5py.h5d.create(group.id, name.encode(), kind, space, layout))
+    dataset[()] = array
+    return dataset
 
 
 def write_text(group, name: str, text: str) -> None:
