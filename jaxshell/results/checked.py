@@ -51,7 +51,9 @@ def write_array(group, name: str, value) -> Any:
 def _single(group, name: str, array: np.ndarray, layout) -> Any:
     """A single value in its object's header, which has a checksum: h5py would put it beside, where nothing looks."""
     kind, space = h5py.h5t.py_create(array.dtype, logical=True), h5py.h5s.create(h5py.h5s.SCALAR)
-    dataset = h5py.Dataset(h5py.h5d.create(group.id, name.encode(), kind, space, layout))
+    link = h5py.h5p.create(h5py.h5p.LINK_CREATE)
+    link.set_create_intermediate_group(True)
+    dataset = h5py.Dataset(h5py.h5d.create(group.id, name.encode(), kind, space, layout, link))
     dataset[()] = array
     return dataset
 
