@@ -20,6 +20,7 @@ from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs, splu
 from jaxshell.assembly.discretised import Model
 from jaxshell.assembly.sparsity import SparsityPattern
 from jaxshell.elements.corotational import Element
+from jaxshell.model.masses import euler_tensor
 from jaxshell.model.scene import Scene
 from jaxshell.numerics import rotations
 from jaxshell.numerics.triangles import LINEAR_MASS
@@ -58,10 +59,8 @@ def gyroscopic(model: Model, scene: Scene, R: Float[Array, "n 3 3"], time) -> Fl
 
 def _of_lumps(lumps: Any, spin, R: Float[Array, "n 3 3"]) -> Float[Array, "k 6 6"]:
     across, columns = rotations.skew(spin), jnp.swapaxes(R[lumps.at], 1, 2)
-    trace = jnp.trace(lumps.inertia, axis1=1, axis2=2)
-    euler = 0.5 * trace[:, None, None] * jnp.eye(3) - lumps.inertia
     turn = -jax.vmap(jax.vmap(rotations.skew))(columns)
-    turned = jnp.einsum("kpq,kpai,ab,kqbj->kij", euler, turn, across, turn)
+    turned = jnp.einsum("kpq,kpai,ab,kqbj->kij", euler_tensor(lumps.inertia), turn, across, turn)
     found = jnp.zeros((len(lumps.mass), 6, 6)).at[:, :3, :3].set(lumps.mass[:, None, None] * across)
     return 2.0 * found.at[:, 3:, 3:].set(turned)
 

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from jaxshell.assembly.lumps import Lumps
 from jaxshell.elements.energy_momentum import mid_matrix
 from jaxshell.elements.inertia import Spins, StepFactors, end_of_step
+from jaxshell.model.masses import euler_tensor
 from jaxshell.numerics.products import product
 from jaxshell.numerics.rotations import exp
 
@@ -48,15 +49,9 @@ class ExactStart(NamedTuple):
     W: Float[Array, "3 3"]
 
 
-def euler(lumps: Lumps) -> Float[Array, "k 3 3"]:
-    """½ tr(J) I - J."""
-    trace = jnp.trace(lumps.inertia, axis1=1, axis2=2)
-    return 0.5 * trace[:, None, None] * jnp.eye(3) - lumps.inertia
-
-
 def exact_start(lumps: Lumps, v, R, W) -> ExactStart:
     """From v, R, Ṙ of all nodes."""
-    return ExactStart(lumps.mass, euler(lumps), v[lumps.at], R[lumps.at], W[lumps.at])
+    return ExactStart(lumps.mass, euler_tensor(lumps.inertia), v[lumps.at], R[lumps.at], W[lumps.at])
 
 
 def exact_force(u: Float[Array, "6"], start: ExactStart, dt) -> Float[Array, "6"]:
@@ -73,7 +68,7 @@ def exact_momentum(lumps: Lumps, x, v, R, W) -> Momentum:
     """Kinetic energy and momenta; x, v, R, Ṙ of all nodes."""
     linear = lumps.mass[:, None] * v[lumps.at]
     R, W = R[lumps.at], W[lumps.at]
-    spin = W @ euler(lumps)
+    spin = W @ euler_tensor(lumps.inertia)
     kinetic = 0.5 * jnp.sum(v[lumps.at] * linear) + 0.5 * jnp.sum(W * spin)
     angular = jnp.cross(x[lumps.at], linear) + axial(R @ jnp.swapaxes(spin, 1, 2))
     return Momentum(kinetic, jnp.sum(linear, axis=0), jnp.sum(angular, axis=0))

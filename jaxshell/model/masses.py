@@ -79,6 +79,12 @@ def tensor(value, name: str) -> Float[jax.Array, "*k 3 3"]:
     return found
 
 
+def euler_tensor(inertia: Float[Array, "k 3 3"]) -> Float[Array, "k 3 3"]:
+    """Euler's tensors E = ½ tr(J) I - J: ½ tr(Ṙ E Ṙᵀ) is the energy of a spin, Σ E_jk r_j × ( · )_k its moments."""
+    trace = jnp.trace(inertia, axis1=1, axis2=2)
+    return 0.5 * trace[:, None, None] * jnp.eye(3) - inertia
+
+
 def check_masses(what: str, mass, inertia) -> None:
     """Raise ValueError for a negative mass, and for an inertia tensor that no body has."""
     check_finite(f"{what} mass", mass)

@@ -213,7 +213,7 @@ class Scene(eqx.Module):
     @property
     def contributions(self) -> tuple[Contribution, ...]:
         """What follows the motion: loads, connectors, obstacles, what loads do to point masses, in that order."""
-        masses = self.point_masses
+        masses = self.point_masses if self.spins else None
         spun = () if masses is None else tuple(load.on_masses_of(masses) for load in self.spins)
         return (*(part for item in self._contributing for part in item.parts()), *spun)
 

@@ -71,13 +71,10 @@ class Linear(NamedTuple):
 
     def factor_and_solve(self, values, rhs):
         """(K⁻¹ rhs, factorization, the matrix that was factored: `values` in these units)."""
-        exact, rhs = values, self._times_units(rhs)
-        values = self._scaled(values)
+        given, rhs = values, self._times_units(rhs)
+        values = self._scaled(given)
         x, factorization = self.solver.factor_and_solve(self.handle, values, rhs)
-        if self.soft is not None:
-            exact = self._replace(soft=None)._scaled(exact)
-            for _ in range(_REFINEMENTS):
-                x = x + self.solver.solve(self.handle, factorization, values, rhs - multiply(self.handle, exact, x))
+        x = self._refined(x, given, rhs, lambda rest: self.solver.solve(self.handle, factorization, values, rest))
         return self._times_units(x), factorization, values
 
     def solve(self, factorization, factored, rhs) -> Float[Array, " nf"]:
@@ -88,11 +85,18 @@ class Linear(NamedTuple):
         """K⁻¹ rhs, differentiable to every order; see `linear_solve`."""
         matrix, rhs = self._scaled(values), self._times_units(rhs)
         x = linear_solve(self.solver, self.handle, matrix, rhs)
-        if self.soft is not None:
-            exact = self._replace(soft=None)._scaled(values)
-            for _ in range(_REFINEMENTS):
-                x = x + linear_solve(self.solver, self.handle, matrix, rhs - multiply(self.handle, exact, x))
+        x = self._refined(x, values, rhs, lambda rest: linear_solve(self.solver, self.handle, matrix, rest))
         return self._times_units(x)
+
+    def _refined(self, x, values, rhs, solve: Callable):
+        """A solution x with the softened matrix of these values, by `solve` of what it leaves of `rhs`; x itself where
+        nothing is softened."""
+        if self.soft is None:
+            return x
+        exact = self._replace(soft=None)._scaled(values)
+        for _ in range(_REFINEMENTS):
+            x = x + solve(rhs - multiply(self.handle, exact, x))
+        return x
 
     def _scaled(self, values):
         if self.units is not None:

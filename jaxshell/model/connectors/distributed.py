@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.model.connectors.base import Connector
-from jaxshell.model.connectors.joint import held_by_conditions, named
-from jaxshell.model.contribution import Constraint, Contribution, Place
+from jaxshell.model.connectors.joint import Conditions, held_by_conditions, named
+from jaxshell.model.contribution import Contribution, Place
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sets import SetName, check_on_mesh, nodes_or_name
 from jaxshell.numerics.checks import check_finite, float_array, is_concrete
@@ -43,7 +43,6 @@ class Distributed(Connector):
     reference: Frozen | SetName | None = eqx.field(static=True)
     weights: Float[jax.Array, " k"] | None
     point: Float[jax.Array, "3"] | None
-    name: str | None = eqx.field(static=True)
 
     def __init__(self, nodes, reference=None, weights=None, name: str | None = None, point=None):
         self.nodes = nodes_or_name("distributed nodes", nodes)
@@ -98,18 +97,14 @@ class Distributed(Connector):
         return (MeanMotion(Frozen(np.concatenate([self._reference, self.nodes.array])[None]), weights),)
 
 
-class MeanMotion(Constraint):
+class MeanMotion(Conditions):
     """A first node that moves with the mean of the others."""
 
-    nodes: Frozen = eqx.field(static=True)
     weights: Float[jax.Array, " k"]
 
     @property
     def count(self) -> int:
         return 6
-
-    def groups(self, triangles: np.ndarray) -> Frozen:
-        return self.nodes
 
     def data(self, surface):
         """Weights, arms of the nodes and of the reference, and what makes lengths of the moments."""

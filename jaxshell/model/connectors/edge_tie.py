@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.model.connectors.base import Connector
-from jaxshell.model.connectors.joint import held_by_conditions, named, twist
-from jaxshell.model.contribution import Constraint, Contribution, Place
+from jaxshell.model.connectors.joint import Conditions, held_by_conditions, named, twist
+from jaxshell.model.contribution import Contribution, Place
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sets import SetName, check_on_mesh, nodes_or_name
 from jaxshell.numerics.checks import check_shape, is_concrete, whole_array
@@ -40,7 +40,6 @@ class EdgeTie(Connector):
     nodes: Frozen | SetName = eqx.field(static=True)
     edges: Frozen | SetName = eqx.field(static=True)
     rotations: bool = eqx.field(static=True)
-    name: str | None = eqx.field(static=True)
 
     def __init__(self, nodes, edges, rotations: bool = True, name: str | None = None):
         self.nodes = nodes_or_name("edge tie nodes", nodes)
@@ -91,17 +90,12 @@ class EdgeTie(Connector):
         return (OnEdge(groups), WithEdge(groups)) if self.rotations else (OnEdge(groups),)
 
 
-class OnEdge(Constraint):
+class OnEdge(Conditions):
     """A node that stays at its place on an edge; groups are the node and the ends."""
-
-    nodes: Frozen = eqx.field(static=True)
 
     @property
     def count(self) -> int:
         return 3
-
-    def groups(self, triangles: np.ndarray) -> Frozen:
-        return self.nodes
 
     def data(self, surface) -> tuple[Float[Array, "k 2"], Float[Array, "k 3"]]:
         weights = weights_on(surface.x0[self.nodes.array])
@@ -113,17 +107,12 @@ class OnEdge(Constraint):
         return place.x[0] - weights @ (place.x[1:] + place.R[1:] @ offset)
 
 
-class WithEdge(Constraint):
+class WithEdge(Conditions):
     """A node that turns with the mean of an edge's ends."""
-
-    nodes: Frozen = eqx.field(static=True)
 
     @property
     def count(self) -> int:
         return 3
-
-    def groups(self, triangles: np.ndarray) -> Frozen:
-        return self.nodes
 
     def data(self, surface) -> tuple[Float[Array, "k 2"], Float[Array, " k"]]:
         weights = weights_on(surface.x0[self.nodes.array])

@@ -96,10 +96,9 @@ def twist(first: Float[Array, "3 3"], second: Float[Array, "3 3"]) -> Float[Arra
 
 
 class Conditions(Constraint):
-    """Conditions on pairs of nodes; a joint of each kind has its own."""
+    """Conditions on groups of nodes (k, c), of a joint pairs; each kind has its own."""
 
     nodes: Frozen = eqx.field(static=True)
-    """(k, 2)."""
 
     def groups(self, triangles: np.ndarray) -> Frozen:
         return self.nodes

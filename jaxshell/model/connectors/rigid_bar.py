@@ -29,7 +29,6 @@ class RigidBar(Joint):
 
     a: Frozen | SetName = eqx.field(static=True)
     b: Frozen | SetName = eqx.field(static=True)
-    name: str | None = eqx.field(static=True)
 
     def __init__(self, a, b, name: str | None = None):
         self.a, self.b = nodes_or_name("rigid bar a", a), nodes_or_name("rigid bar b", b)

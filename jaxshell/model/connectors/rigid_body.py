@@ -43,7 +43,6 @@ class RigidBody(Connector):
     point: Float[jax.Array, "3"] | None
     mass: Float[jax.Array, ""]
     inertia: Float[jax.Array, "3 3"] | None
-    name: str | None = eqx.field(static=True)
 
     def __init__(self, nodes, reference=None, mass: Any = 0.0, inertia=None, name: str | None = None, point=None):
         self.nodes = Frozen([]) if _is_empty(nodes) else nodes_or_name("rigid body nodes", nodes)

@@ -33,7 +33,6 @@ class Slider(Joint):
     a: Frozen | SetName = eqx.field(static=True)
     b: Frozen | SetName = eqx.field(static=True)
     axis: Float[jax.Array, "3"]
-    name: str | None = eqx.field(static=True)
 
     def __init__(self, a, b, axis, name: str | None = None):
         self.a, self.b = nodes_or_name("slider a", a), nodes_or_name("slider b", b)

@@ -38,7 +38,6 @@ class Tie(Joint):
     a: Frozen | SetName = eqx.field(static=True)
     b: Frozen | SetName = eqx.field(static=True)
     dofs: tuple[str, ...] = eqx.field(static=True)
-    name: str | None = eqx.field(static=True)
 
     def __init__(self, a, b, dofs=_DOFS, name: str | None = None):
         self.a, self.b = nodes_or_name("tie a", a), nodes_or_name("tie b", b)

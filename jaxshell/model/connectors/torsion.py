@@ -32,6 +32,7 @@ from jaxtyping import Array, Float
 from jaxshell.model.connectors.laws import mean_positive, positive
 from jaxshell.model.contribution import Contribution, Elastic, Place, Resisting, Surface, between
 from jaxshell.numerics.checks import floats
+from jaxshell.numerics.directions import across
 from jaxshell.numerics.frozen import Frozen
 
 LIMIT = 3.1
@@ -87,7 +88,7 @@ class Turning(Contribution):
     def data(self, surface: Surface) -> TurningData:
         count = len(self.nodes.array)
         law = jax.tree.map(lambda value: jnp.broadcast_to(value, (count,)), self.law())
-        return TurningData(across(self.axis), law)
+        return TurningData(jax.vmap(across)(self.axis)[:, 1:], law)
 
     def twist(self, data: TurningData, place: Place) -> Twist:
         """The invariants of one group."""
@@ -241,14 +242,6 @@ class TorsionFriction(ResistingTurning):
     def moment_at(self, rate, law):
         moment, least = law
         return moment * jnp.tanh(rate / least)
-
-
-def across(axis: Float[Array, "k 3"]) -> Float[Array, "k 2 3"]:
-    """Unit vectors p and q across axes n of any length, so that n = p × q but for its length."""
-    least = jnp.eye(3)[jnp.argmin(jnp.abs(axis), axis=1)]
-    p = jnp.cross(axis, least)
-    q = jnp.cross(axis, p)
-    return jnp.stack([v / jnp.linalg.norm(v, axis=1, keepdims=True) for v in (p, q)], axis=1)
 
 
 def _told(angle: Float[Array, ""], value: Float[Array, "*s"]) -> Float[Array, "*s"]:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from jaxshell.model.contribution import Contribution, Place, Surface
 from jaxshell.model.history import History
 from jaxshell.model.loads.base import Load, given_history
-from jaxshell.model.masses import Masses
+from jaxshell.model.masses import Masses, euler_tensor
 from jaxshell.numerics.checks import check_finite, check_shape, float_array
 from jaxshell.numerics.frozen import Frozen
 from jaxshell.numerics.triangles import LINEAR_MASS
@@ -91,9 +91,7 @@ class CentrifugalMasses(Contribution):
         """Masses and Euler's tensors ½ tr(J) I - J, zeros where a group is of the other."""
         k, r = len(self.masses.mass), len(self.masses.inertia)
         mass = jnp.concatenate([self.masses.mass, jnp.zeros(r)])
-        trace = jnp.trace(self.masses.inertia, axis1=1, axis2=2)
-        euler = 0.5 * trace[:, None, None] * jnp.eye(3) - self.masses.inertia
-        return mass, jnp.concatenate([jnp.zeros((k, 3, 3)), euler])
+        return mass, jnp.concatenate([jnp.zeros((k, 3, 3)), euler_tensor(self.masses.inertia)])
 
     def force(self, data, place: Place) -> Float[Array, "1 6"]:
         mass, euler = data
