@@ -3,13 +3,12 @@
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
 from jaxshell.assembly.structure import structure_of
-from jaxshell.elements.corotational import local_frame
-from jaxshell.model.contribution import Constraint, Place, Surface, gradient_between
+from jaxshell.model.connectors.joint import AtGroup, conditions_at
+from jaxshell.model.contribution import Constraint
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import is_concrete
 
@@ -20,14 +19,10 @@ _BROKEN = 1e-9
 
 
 class _Row(NamedTuple):
-    """Conditions of one group."""
+    """Conditions of one group, and what has them."""
 
     name: str
-    slopes: np.ndarray
-    """(p, c, 6)"""
-    nodes: np.ndarray
-    values: np.ndarray
-    """(p,)"""
+    group: AtGroup
 
 
 def check_conditions(scene: Scene) -> None:
@@ -38,14 +33,15 @@ def check_conditions(scene: Scene) -> None:
     if not all(is_concrete(leaf) for leaf in jax.tree.leaves(scene)):
         return
     x, R, rates, size = _start(scene)
-    rows = _rows(scene, x, R, size)
+    rows = _rows(scene, x, R)
     for row in rows:
-        if np.abs(row.values).max() > _BROKEN * size:
+        apart = np.abs(row.group.values).max()
+        if apart > _BROKEN * size:
             raise ValueError(
-                f"{row.name} is open by {np.abs(row.values).max():.3g} at the start: the initial displacements and "
-                "rotations must agree on both sides."
+                f"{row.name} is open by {apart:.3g} at the start: the initial displacements and rotations must agree on "
+                "both sides."
             )
-        opening = np.abs(np.einsum("pci,ci->p", row.slopes, rates[row.nodes])).max()
+        opening = np.abs(np.einsum("pci,ci->p", row.group.slopes, rates[row.group.nodes])).max()
         if opening > _BROKEN * max(np.abs(rates[:, :3]).max(), size * np.abs(rates[:, 3:]).max()):
             raise ValueError(
                 f"The initial velocities open {row.name} at the rate {opening:.3g}: give both its sides one motion."
@@ -72,28 +68,13 @@ def _start(scene: Scene):
     return x[masters] + arms, R[masters], rates, size
 
 
-def _rows(scene: Scene, x, R, size: float) -> list[_Row]:
-    """The conditions of every group, with their slopes at the start."""
-    surface, found = _surface(scene, size), []
+def _rows(scene: Scene, x, R) -> list[_Row]:
+    """The conditions of every group at the start."""
+    found = []
     for number, item in enumerate(scene.connectors):
         what = f"connector {number} ({item.kind})" if item.name is None else f"{item.kind} {item.name!r}"
-        for part in item.parts():
-            if not isinstance(part, Constraint):
-                continue
-            nodes = part.groups(scene.mesh.triangles).array
-            place = Place(jnp.asarray(x)[nodes], jnp.asarray(R)[nodes], jnp.zeros(len(nodes)))
-            data = part.data(surface)
-            slopes = jax.vmap(lambda d, p, part=part: gradient_between(lambda q: part.conditions(d, q), p))(data, place)
-            values = jax.vmap(part.conditions)(data, place)
-            found += [_Row(what, *row) for row in zip(np.asarray(slopes), nodes, np.asarray(values), strict=True)]
+        found += [_Row(what, group) for group in conditions_at(item, scene.mesh, x, R)]
     return found
-
-
-def _surface(scene: Scene, size: float) -> Surface:
-    x0, triangles = scene.mesh.nodes, scene.mesh.triangles
-    frames, plane = jax.vmap(local_frame)(x0[triangles])
-    area = 0.5 * plane[:, 0] * plane[:, 2]
-    return Surface(x0, triangles, jnp.zeros_like(area), area, frames[:, 2], jnp.asarray(size))
 
 
 def _check_independent(scene: Scene, rows: list[_Row], x, R) -> None:
@@ -103,11 +84,11 @@ def _check_independent(scene: Scene, rows: list[_Row], x, R) -> None:
     arms = x - x[masters]
     matrix, names = [], []
     for row in rows:
-        slopes = row.slopes.copy()
-        slopes[:, :, 3:] += np.cross(arms[row.nodes][None], slopes[:, :, :3])
+        slopes = row.group.slopes.copy()
+        slopes[:, :, 3:] += np.cross(arms[row.group.nodes][None], slopes[:, :, :3])
         for one in slopes:
             line = np.zeros(int(number.max()) + 2)
-            np.add.at(line, number[row.nodes].ravel(), one.ravel())
+            np.add.at(line, number[row.group.nodes].ravel(), one.ravel())
             line[-1] = 0.0
             matrix.append(line / max(np.linalg.norm(one), 1e-300))
             names.append(row.name)

@@ -1,6 +1,6 @@
 """What joints between pairs of nodes have in common."""
 
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -74,20 +74,37 @@ def named(kind: str, name: str | None) -> str | None:
     return name
 
 
-def held_by_conditions(item: Connector, mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray]]:
-    """What the conditions of a connector hold where nothing has moved, as `Connector.holds`."""
+class AtGroup(NamedTuple):
+    """Conditions of one group of nodes, in a state."""
+
+    nodes: np.ndarray
+    """(c,)"""
+    slopes: np.ndarray
+    """(p, c, 6) by displacements and spins."""
+    values: np.ndarray
+    """(p,)"""
+
+
+def conditions_at(item: Connector, mesh: Mesh, x, R) -> list[AtGroup]:
+    """The conditions of every group of a connector where the nodes are at x (n, 3), with the rotations R (n, 3, 3)."""
     m, found = mesh.n_elements, []
     size = jnp.linalg.norm(jnp.ptp(mesh.nodes, axis=0))
     surface = Surface(mesh.nodes, mesh.triangles, jnp.zeros(m), jnp.zeros(m), jnp.zeros((m, 3)), size)
     for part in item.parts():
         if isinstance(part, Constraint):
             nodes = part.groups(mesh.triangles).array
-            R = jnp.broadcast_to(jnp.eye(3), (*nodes.shape, 3, 3))
-            place, data = Place(mesh.nodes[nodes], R, jnp.zeros(len(nodes))), part.data(surface)
+            place, data = Place(jnp.asarray(x)[nodes], jnp.asarray(R)[nodes], jnp.zeros(len(nodes))), part.data(surface)
             slopes = jax.vmap(lambda *of_group, part=part: _slopes(part, *of_group))(data, place)
-            rows = np.asarray(slopes).reshape(len(nodes), part.count, -1)
-            found += list(zip(nodes, rows, strict=True))
+            values = jax.vmap(part.conditions)(data, place)
+            found += map(AtGroup, nodes, np.asarray(slopes), np.asarray(values))
     return found
+
+
+def held_by_conditions(item: Connector, mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray]]:
+    """What the conditions of a connector hold where nothing has moved, as `Connector.holds`."""
+    R = np.broadcast_to(np.eye(3), (mesh.n_nodes, 3, 3))
+    groups = conditions_at(item, mesh, mesh.nodes, R)
+    return [(group.nodes, group.slopes.reshape(len(group.slopes), -1)) for group in groups]
 
 
 def twist(first: Float[Array, "3 3"], second: Float[Array, "3 3"]) -> Float[Array, "3"]:

@@ -4,13 +4,14 @@ import abc
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxshell.model.history import History
 from jaxshell.model.mesh import Mesh
-from jaxshell.model.sets import OfSets, SetName, check_on_mesh
-from jaxshell.numerics.checks import check_finite, check_kind, check_shape
+from jaxshell.model.sets import OfSets, SetName, check_on_mesh, elements_or_name
+from jaxshell.numerics.checks import check_finite, check_kind, check_one_or_each, check_shape, float_array
 from jaxshell.numerics.frozen import Frozen
 
 
@@ -49,6 +50,32 @@ class DeadLoad(Load):
     def on_masses(self, mass: Float[Array, " k"]) -> Float[Array, "k 3"] | None:
         """Forces on point masses for factor 1; None where it does not act on them."""
         return None
+
+
+class OnElements(Load):
+    """A pressure on elements: one value, or one for each of those that it acts on."""
+
+    value: ClassVar[str] = "pressure"
+    acts_on: ClassVar[str] = "shell"
+    sets: ClassVar[dict[str, str]] = {"elements": "element"}
+
+    pressure: Float[jax.Array, "*m"]
+    history: History
+    elements: Frozen | SetName | None = eqx.field(static=True)
+
+    def __init__(self, pressure, history: History | None = None, elements=None):
+        self.pressure = float_array(pressure, self.kind)
+        self.history = given_history(history)
+        self.elements = elements_or_name(elements)
+
+    def __check_init__(self):
+        check_one_or_each(self.kind, self.pressure)
+        check_finite(self.kind, self.pressure)
+
+    def check(self, mesh: Mesh) -> None:
+        count = number_of_elements(self.elements, mesh)
+        if self.pressure.shape not in ((), (count,)):
+            raise ValueError(f"{self.kind} must be one value or {count}, but has shape {self.pressure.shape}.")
 
 
 def given_history(history: History | None) -> History:

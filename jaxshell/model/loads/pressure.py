@@ -2,23 +2,18 @@
 
 from typing import ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.model.contribution import Contribution, Place, Surface
-from jaxshell.model.history import History
-from jaxshell.model.loads.base import Load, chosen, given_history, number_of_elements
-from jaxshell.model.mesh import Mesh
-from jaxshell.model.sets import SetName, elements_or_name
-from jaxshell.numerics.checks import check_finite, check_one_or_each, float_array
+from jaxshell.model.loads.base import OnElements, chosen
 from jaxshell.numerics.frozen import Frozen
 from jaxshell.numerics.rotations import skew
 
 
-class Pressure(Load, Contribution):
+class Pressure(OnElements, Contribution):
     """A pressure that follows the deformed surface, positive along the elements' normals.
 
     Arguments:
@@ -30,28 +25,6 @@ class Pressure(Load, Contribution):
     """
 
     kind: ClassVar[str] = "pressure"
-    value: ClassVar[str] = "pressure"
-    acts_on: ClassVar[str] = "shell"
-
-    sets: ClassVar[dict[str, str]] = {"elements": "element"}
-
-    pressure: Float[jax.Array, "*m"]
-    history: History
-    elements: Frozen | SetName | None = eqx.field(static=True)
-
-    def __init__(self, pressure, history: History | None = None, elements=None):
-        self.pressure = float_array(pressure, "pressure")
-        self.history = given_history(history)
-        self.elements = elements_or_name(elements)
-
-    def __check_init__(self):
-        check_one_or_each("pressure", self.pressure)
-        check_finite("pressure", self.pressure)
-
-    def check(self, mesh: Mesh) -> None:
-        count = number_of_elements(self.elements, mesh)
-        if self.pressure.shape not in ((), (count,)):
-            raise ValueError(f"pressure must be one value or {count}, but has shape {self.pressure.shape}.")
 
     def groups(self, triangles: np.ndarray) -> Frozen:
         return Frozen(chosen(self.elements, triangles))

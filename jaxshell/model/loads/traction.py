@@ -8,11 +8,19 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jaxshell.model.history import History
-from jaxshell.model.loads.base import DeadLoad, check_vectors, chosen, given_history, number_of_elements, on_corners
+from jaxshell.model.loads.base import (
+    DeadLoad,
+    OnElements,
+    check_vectors,
+    chosen,
+    given_history,
+    number_of_elements,
+    on_corners,
+)
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.normals import area_vectors
 from jaxshell.model.sets import SetName, elements_or_name
-from jaxshell.numerics.checks import check_finite, check_one_or_each, float_array
+from jaxshell.numerics.checks import float_array
 from jaxshell.numerics.frozen import Frozen
 
 
@@ -55,7 +63,7 @@ class Traction(DeadLoad):
         return on_corners(area / 3 * self.traction, triangles, x0.shape[0])
 
 
-class DeadPressure(DeadLoad):
+class DeadPressure(OnElements, DeadLoad):
     """A pressure on the area of the stress-free shape along its normals, where it stays: it does not turn as
     `Pressure` does, nor grow with the surface.
 
@@ -69,27 +77,6 @@ class DeadPressure(DeadLoad):
     """
 
     kind: ClassVar[str] = "dead pressure"
-    value: ClassVar[str] = "pressure"
-    acts_on: ClassVar[str] = "shell"
-    sets: ClassVar[dict[str, str]] = {"elements": "element"}
-
-    pressure: Float[jax.Array, "*m"]
-    history: History
-    elements: Frozen | SetName | None = eqx.field(static=True)
-
-    def __init__(self, pressure, history: History | None = None, elements=None):
-        self.pressure = float_array(pressure, "dead pressure")
-        self.history = given_history(history)
-        self.elements = elements_or_name(elements)
-
-    def __check_init__(self):
-        check_one_or_each("dead pressure", self.pressure)
-        check_finite("dead pressure", self.pressure)
-
-    def check(self, mesh: Mesh) -> None:
-        count = number_of_elements(self.elements, mesh)
-        if self.pressure.shape not in ((), (count,)):
-            raise ValueError(f"dead pressure must be one value or {count}, but has shape {self.pressure.shape}.")
 
     def nodal(self, x0, triangles, mass_per_area) -> Float[jax.Array, "n 6"]:
         """(n, 6) force and moment on each node for factor 1."""
