@@ -38,8 +38,8 @@ def check_conditions(scene: Scene) -> None:
         apart = np.abs(row.group.values).max()
         if apart > _BROKEN * size:
             raise ValueError(
-                f"{row.name} is open by {apart:.3g} at the start: the initial displacements and rotations must agree on "
-                "both sides."
+                f"{row.name} is open by {apart:.3g} at the start: the initial displacements and rotations must agree "
+                "on both sides."
             )
         opening = np.abs(np.einsum("pci,ci->p", row.group.slopes, rates[row.group.nodes])).max()
         if opening > _BROKEN * max(np.abs(rates[:, :3]).max(), size * np.abs(rates[:, 3:]).max()):
