@@ -302,7 +302,7 @@ def _buckling_matrices(scene: Scene, tables: Tables, handle):
         local = jnp.einsum("ij,akj->aki", kin.frame, u.reshape(3, 2, 3)).reshape(18)
         deformations = corotational.deformation_gradient(kin) @ local
         if element.rest is not None:
-            deformations = deformations - element.rest
+            deformations = deformations.at[:12].add(-element.rest)
         f = corotational.stresses(deformations, element)
         return corotational.stiffness(kin, f, element, None, material=0.0)
 

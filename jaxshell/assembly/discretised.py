@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxshell.assembly.acting import Acting
 from jaxshell.assembly.driven import Motion, Turned, motion_of
+from jaxshell.assembly.elements import build_elements
 from jaxshell.assembly.elimination import Blocks, Elimination
 from jaxshell.assembly.gauges import Watching, watching
 from jaxshell.assembly.lumps import Lumps, lumps_of
@@ -58,7 +59,7 @@ class Model(eqx.Module):
         """The model of a scene; `tables` are of its `structure_of`."""
         x0 = jnp.concatenate([scene.mesh.nodes, jnp.zeros((tables.multipliers, 3))])
         resultants = scene.section.resultants(scene.mesh)
-        elements = jax.vmap(Element.build)(x0[tables.triangles], resultants)
+        elements = build_elements(scene, resultants)
         lumps = _lumps(scene, tables)
         dead = tuple(
             (_nodal(load, x0, tables, elements, lumps), load.history)
@@ -416,7 +417,7 @@ class Model(eqx.Module):
             return jax.vmap(one)(self.gather(x), self.gather(R), self.elements_at((1.0, time)))
 
         change = self.rest(after[2]) - self.rest(before[2])
-        return -0.5 * jnp.sum(change * (stresses(*before) + stresses(*after)))
+        return -0.5 * jnp.sum(change * (stresses(*before) + stresses(*after))[:, :12])
 
     def internal_force(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, "n 6"]:
         """Nodal internal forces and moments, eq. (70) assembled, and those of elastic contributions."""

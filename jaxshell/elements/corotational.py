@@ -11,6 +11,10 @@ does not deform. The deformations kept are the 12 entries of
 
 with l the length of edge 1-2 and (b̄x, b̄y) node 3 seen from node 1. K̄_m loses the rows and columns of the
 others and falls into a membrane and a bending block of 6 × 6; energy and forces are those of eqs. (60)-(70).
+
+An element with the curvature of its surface (`jaxshell.elements.shape`) has three more, the mean membrane strain w̄ that
+bending causes there. They are counted among the deformations, and the forces conjugate to them among the stresses:
+`conjugate` makes of the 15 the twelve conjugate to e.
 """
 
 from typing import NamedTuple
@@ -23,6 +27,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.elements.bending import bending_stiffness, bending_strains
 from jaxshell.elements.membrane import membrane_stiffness, membrane_strains
+from jaxshell.elements.shape import Shape, bent, curvature_stiffness, tangent_slopes
 from jaxshell.model.sections import Resultants
 from jaxshell.numerics import rotations
 from jaxshell.numerics.checks import Real
@@ -51,18 +56,27 @@ class Element(eqx.Module):
     """Of a section that couples membrane (rows) and bending (columns); else None."""
     rest: Float[Array, "12"] | None = None
     """The deformations at which it is free of stress, where initial strains act; else None."""
+    shape: Shape | None = None
+    """The curvature of its surface; None of a flat element."""
 
     @classmethod
-    def build(cls, x0: Float[Array, "3 3"], section: Resultants) -> "Element":
-        """From nodal positions x0 of the stress-free shape and the section's resultants."""
+    def build(cls, x0: Float[Array, "3 3"], section: Resultants, normals: Float[Array, "3 3"] | None = None) -> "Element":
+        """From nodal positions x0 of the stress-free shape and the section's resultants.
+
+        `normals` (corner, 3) of the surface make it curved; with None the element is the surface.
+        """
         frame, coordinates = local_frame(x0)
         xy = corners(coordinates)
         membrane = membrane_stiffness(xy, section.A, section.beta0)
         bending = bending_stiffness(xy, section.D)
-        area, coupling = 0.5 * coordinates[0] * coordinates[2], None
-        if section.B is not None:
+        area, coupling, shape = 0.5 * coordinates[0] * coordinates[2], None, None
+        if section.B is not None or normals is not None:
             membrane_B, bending_B = strain_matrices(coordinates, section.beta0)
-            coupling = area / 3.0 * jnp.einsum("pij,ik,pkl->jl", membrane_B, section.B, bending_B)
+            if section.B is not None:
+                coupling = area / 3.0 * jnp.einsum("pij,ik,pkl->jl", membrane_B, section.B, bending_B)
+            if normals is not None:
+                means = jnp.mean(membrane_B, axis=0), jnp.mean(bending_B, axis=0)
+                shape = Shape.build(xy, tangent_slopes(frame, normals), section.A, means[0], section.B, means[1])
         return cls(
             coordinates,
             frame,
@@ -71,6 +85,7 @@ class Element(eqx.Module):
             area,
             section,
             coupling,
+            shape=shape,
         )
 
     def resting_at(self, rest: Float[Array, "*m 12"]) -> "Element":
@@ -141,8 +156,11 @@ class Kinematics(NamedTuple):
     """θ̄_da, the local deformational rotation vector of node a."""
     H: Float[Array, "3 3 3"]
     """H(θ̄_da), eq. (9)."""
-    deformations: Float[Array, "12"]
-    """e, see the top of this file, less those of the element's stress-free state where initial strains act."""
+    deformations: Float[Array, " d"]
+    """e, see the top of this file, less those of the element's stress-free state where initial strains act: (12,), and
+    (15,) where it is curved."""
+    J: Float[Array, "3 6"] | None = None
+    """∂w̄/∂e_b of a curved element."""
 
 
 def kinematics(x: Float[Array, "3 3"], R: Float[Array, "3 3 3"], element: Element) -> Kinematics:
@@ -155,28 +173,51 @@ def kinematics(x: Float[Array, "3 3"], R: Float[Array, "3 3 3"], element: Elemen
     theta = jax.vmap(deformational_rotation)(R)
     H = jax.vmap(rotations.H)(theta)
     deformations = jnp.concatenate([coordinates - element.coordinates, theta[:, 2], theta[:, :2].reshape(6)])
+    J = curving = None
+    if element.shape is not None:  # by all of the bending, free of stress or not
+        curving, J = bent(element.shape, deformations[6:])
     if element.rest is not None:
         deformations = deformations - element.rest
-    return Kinematics(frame, coordinates, theta, H, deformations)
+    if curving is not None:
+        deformations = jnp.concatenate([deformations, curving])
+    return Kinematics(frame, coordinates, theta, H, deformations, J)
 
 
-def total_deformations(kin: Kinematics, element: Element) -> Float[Array, "12"]:
+def total_deformations(kin: Kinematics, element: Element) -> Float[Array, " d"]:
     """The deformations counted from the mesh, whatever is free of stress."""
-    return kin.deformations if element.rest is None else kin.deformations + element.rest
+    if element.rest is None:
+        return kin.deformations
+    return kin.deformations + jnp.pad(element.rest, (0, len(kin.deformations) - 12))
 
 
-def stresses(deformations, element: Element) -> Float[Array, "12"]:
+def stresses(deformations, element: Element) -> Float[Array, " d"]:
     """f̂ = K̂ e, the forces conjugate to the deformations: eq. (60) for the entries kept."""
-    return jnp.concatenate(times_stiffness(element, deformations[:6], deformations[6:]))
+    return jnp.concatenate(times_stiffness(element, deformations))
 
 
-def times_stiffness(element: Element, membrane: Float[Array, "6 *c"], bending: Float[Array, "6 *c"]):
-    """K̂ times columns, given and returned in their membrane and bending rows."""
-    stretched, bent = product(element.K_membrane, membrane), product(element.K_bending, bending)
-    if element.K_coupling is None:
-        return stretched, bent
-    coupled = product(element.K_coupling, bending), product(element.K_coupling.T, membrane)
-    return stretched + coupled[0], bent + coupled[1]
+def times_stiffness(element: Element, columns: Float[Array, "d *c"]) -> list[Array]:
+    """K̂ times columns, in its membrane and bending rows, and those of w̄ where the element is curved."""
+    membrane, bending = columns[:6], columns[6:12]
+    rows = [product(element.K_membrane, membrane), product(element.K_bending, bending)]
+    if element.K_coupling is not None:
+        coupled = product(element.K_coupling, bending), product(element.K_coupling.T, membrane)
+        rows = [rows[0] + coupled[0], rows[1] + coupled[1]]
+    if element.shape is None:
+        return rows
+    shape, curving = element.shape, columns[12:]
+    rows = [rows[0] + product(shape.by_membrane.T, curving), rows[1]]
+    last = product(shape.by_membrane, membrane) + product(shape.stiffness, curving)
+    if shape.by_bending is not None:
+        rows[1] = rows[1] + product(shape.by_bending.T, curving)
+        last = last + product(shape.by_bending, bending)
+    return [*rows, last]
+
+
+def conjugate(J: Float[Array, "3 6"] | None, f: Float[Array, " d"]) -> Float[Array, "12"]:
+    """The forces conjugate to e of all stresses: those of a curved element bend it by the slopes J = ∂w̄/∂e_b."""
+    if J is None or f.shape[0] == 12:
+        return f
+    return jnp.concatenate([f[:6], f[6:12] + product(f[12:], J)])
 
 
 def strain_energy(deformations, element: Element) -> Float[Array, ""]:
@@ -185,7 +226,7 @@ def strain_energy(deformations, element: Element) -> Float[Array, ""]:
 
 
 def moments_of(f) -> Float[Array, "3 3"]:
-    """(3, 3) moments conjugate to θ̄_a out of the 12 stresses."""
+    """(3, 3) moments conjugate to θ̄_a out of the 12 forces conjugate to e."""
     return jnp.concatenate([f[6:].reshape(3, 2), f[3:6, None]], axis=1)
 
 
@@ -201,6 +242,7 @@ def spin_gradient(coordinates) -> Float[Array, "3 3 3"]:
 
 def local_forces(kin: Kinematics, f) -> Float[Array, "3 2 3"]:
     """Projected nodal forces and moments n̄_a, m̄_a = P̄ᵀ H̄ᵀ f̄ in the corotated frame. Shape (a, force/moment, 3)."""
+    f = conjugate(kin.J, f)
     _, bx, by = kin.coordinates
     moments = jax.vmap(lambda H, m: product(m, H))(kin.H, moments_of(f))
     # What turns the frame: the nodal moments (-Ḡ_b in eq. (67)) and the membrane forces at node 3.
@@ -231,14 +273,16 @@ def frame_spin(kin: Kinematics) -> Float[Array, "3 18"]:
     return jnp.concatenate([G, jnp.zeros_like(G)], axis=2).reshape(3, 18)
 
 
-def deformation_gradient(kin: Kinematics) -> Float[Array, "12 18"]:
-    """Λ = H̄ P̄ of eqs. (64)-(67) for the deformations kept, in the corotated frame: δe = Λ δq̄."""
+def deformation_gradient(kin: Kinematics) -> Float[Array, "d 18"]:
+    """Λ = H̄ P̄ of eqs. (64)-(67) for the deformations kept, in the corotated frame: δe = Λ δq̄. (15, 18) if curved."""
     _, bx, by = kin.coordinates
     G = frame_spin(kin)
     metric = jnp.asarray(_METRIC) + jnp.stack([0.0 * by, by, -bx])[:, None] * G[2][None]
     # H(θ̄_a) (δω̄_a - ω̄_e)
     turn = jax.vmap(lambda H, spin: product(H, spin - G))(kin.H, jnp.asarray(_SPINS))
-    return jnp.concatenate([metric, turn[:, 2], turn[:, :2].reshape(6, 18)])
+    tilts = turn[:, :2].reshape(6, 18)
+    rows = [metric, turn[:, 2], tilts]
+    return jnp.concatenate(rows if kin.J is None else [*rows, product(kin.J, tilts)])
 
 
 _METRIC = np.zeros((3, 18))
@@ -299,7 +343,7 @@ def projection_stiffness(kin: Kinematics, local) -> GeometricParts:
 
 
 def moment_corrections(kin: Kinematics, f) -> Float[Array, "3 3 3"]:
-    """M̄_a of eq. (82) for the three nodes: the derivative of H(θ̄)ᵀ m̄ times H(θ̄); `f` are the 12 stresses."""
+    """M̄_a of eq. (82) for the three nodes: the derivative of H(θ̄)ᵀ m̄ times H(θ̄); `f` are the stresses."""
 
     def one(theta, m, H):
         theta_sq = dot(theta, theta)
@@ -310,11 +354,11 @@ def moment_corrections(kin: Kinematics, f) -> Float[Array, "3 3 3"]:
         D = eta * (along * jnp.eye(3) + outer - 2.0 * outer.T) + mu * twice[:, None] * theta[None, :]
         return product(D - 0.5 * rotations.skew(m), H)
 
-    return jax.vmap(one)(kin.theta, moments_of(f), kin.H)
+    return jax.vmap(one)(kin.theta, moments_of(conjugate(kin.J, f)), kin.H)
 
 
 def moment_correction_stiffness(kin: Kinematics, f) -> GeometricParts:
-    """K_GM of eq. (80), P̄ᵀ M̄ P̄, whose rotational rows of P̄ are δω̄_a - ω̄_e; `f` are the 12 stresses."""
+    """K_GM of eq. (80), P̄ᵀ M̄ P̄, whose rotational rows of P̄ are δω̄_a - ω̄_e; `f` are the stresses."""
     M = moment_corrections(kin, f)
     zero = jnp.zeros_like(M)
     X = -jnp.stack([zero, M], axis=1).reshape(18, 3)
@@ -339,29 +383,34 @@ def stiffness(
     """Tangent stiffness in global axes, (18, 18), eq. (85), or eq. (97) at the generalised mid-point.
 
     Arguments:
-        f: (12,) stresses of the geometric part.
+        f: stresses of the geometric part, (12,) or (15,).
         spin: (3, 3, 3) derivatives of the nodal spins by the unknown rotations; None for the spins themselves.
         material, geometric: factors of the two parts.
         average: what to do with Λ (12, 18) in global axes where it stands on the left; None leaves it.
 
-    One product of 18 terms: twelve deformations, and three of each of Ḡ and Ḡᵀ, see `GeometricParts`.
+    One product of 18 terms: twelve deformations, and three of each of Ḡ and Ḡᵀ, see `GeometricParts`. A curved element
+    has three terms more, and the six of what its slopes change.
     """
     # The factors of a product are formed once, and not anew in each of its entries.
     kin, f = formed((kin, f))
     Lambda, G, parts = formed(
         (deformation_gradient(kin), frame_spin(kin), geometric_parts(kin, f, local_forces(kin, f)))
     )
-    K_Lambda = times_stiffness(element, Lambda[:6], Lambda[6:])
-    left = jnp.concatenate([Lambda, parts.X.T, G])
-    right = jnp.concatenate([material * jnp.concatenate(K_Lambda), geometric * G, geometric * parts.Y])
-    left, right = formed((left, right))
+    d = Lambda.shape[0]
+    K_Lambda = times_stiffness(element, Lambda)
+    left = [Lambda, parts.X.T, G]
+    right = [material * jnp.concatenate(K_Lambda), geometric * G, geometric * parts.Y]
+    if element.shape is not None:
+        left.append(Lambda[6:12])
+        right.append(geometric * product(curvature_stiffness(element.shape, f[12:]), Lambda[6:12]))
+    left, right = formed((jnp.concatenate(left), jnp.concatenate(right)))
     left = gradient_to_global(left, kin)
     if average is not None:
-        left = jnp.concatenate([average(left[:12]), left[12:]])
+        left = jnp.concatenate([average(left[:d]), left[d:]])
     frames = jnp.broadcast_to(kin.frame, (3, 3, 3))
     turns = frames if spin is None else jax.vmap(lambda S: product(kin.frame, S))(spin)
     turns = jnp.stack([frames, turns], axis=1)
-    right = columns_times(right.reshape(18, 6, 3), turns.reshape(6, 3, 3)).reshape(18, 18)
+    right = columns_times(right.reshape(-1, 6, 3), turns.reshape(6, 3, 3)).reshape(-1, 18)
     D = jax.vmap(lambda D, T: transposed_product(kin.frame, product(geometric * D, T)))(parts.D, turns[:, 1])
     # `jnp.dot`, whose result XLA does not form anew in the loop that adds the blocks: see `on_rotations`.
     return jnp.dot(left.T, right) + on_rotations(_OWN, D)

@@ -13,7 +13,8 @@ Averaging G = ∂e/∂π over the ends of the step and adding what is missing al
 
     s = ½(G₀ + G₁)ᵀ f + c Δπ,   f = K̂ (½(e₀ + e₁) + ξ Δe),   c = [f·Δe - fᵀ½(G₀ + G₁) Δπ]/|Δπ|²,
 
-so that s·Δπ = f·Δe = S₁ - S₀ + ξ ΔeᵀK̂Δe. The nodal forces Dπ(q_m)ᵀ s therefore do exactly that work, and they
+so that s·Δπ = f·Δe = S₁ - S₀ + ξ ΔeᵀK̂Δe. In a curved element (`jaxshell.elements.shape`) Δe has the change of w̄ too, which is
+½(J₀ + J₁) times that of the bending deformations: f are then the forces conjugate to the twelve through this mean. The nodal forces Dπ(q_m)ᵀ s therefore do exactly that work, and they
 have no resultant and no moment, because Dπ vanishes for rigid variations. docs/energy_momentum.md derives it.
 
 Everything is written with spatial vectors: where s holds a material vector s_k against R_kᵀa, the formulas hold
@@ -28,9 +29,10 @@ from jaxtyping import Array, Float
 
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element, Kinematics
+from jaxshell.elements.shape import curvature_stiffness
 from jaxshell.numerics import rotations
 from jaxshell.numerics.fusion import formed
-from jaxshell.numerics.products import cross, dot, product, scaled
+from jaxshell.numerics.products import cross, dot, product, scaled, transposed_product
 
 _NEGLIGIBLE = 1e-12
 """|Δπ|², dimensionless, below which f·Δe - f·½(G₀+G₁)Δπ = O(|Δπ|³) is lost in the rounding of e."""
@@ -63,10 +65,12 @@ class StepState(NamedTuple):
     """A_k y_ki with y_ki = Δ(edge i) + (edge i)_m × θ_k, so that Δ(R_kᵀ edge i) = R_kmᵀ y_ki."""
     d_metric: Float[Array, "3"]
     """Δ(a·a), Δ(a·b), Δ(b·b)."""
-    change: Float[Array, "12"]
+    change: Float[Array, " d"]
     """Δe."""
-    f: Float[Array, "12"]
+    stresses: Float[Array, " d"]
     """The step's stresses."""
+    f: Float[Array, "12"]
+    """The forces conjugate to the twelve deformations: the same in a flat element."""
     mu: Float[Array, "3 3"]
     """H(θ̄_k)ᵀ m̄_k at the end."""
     P: Float[Array, "3 2 3"]
@@ -145,14 +149,15 @@ def _forces(s, p, edges):
 def evaluate(start: StepStart, x, R, u: Float[Array, "3 6"], element: Element, dissipation, excess=None) -> StepState:
     """The step from its start to positions x (3, 3) and rotations R (3, 3, 3), with increments u = (Δx, θ).
 
-    `excess` (12,), where given, is added to the deformations at the end in the stresses f.
+    `excess` (d,), where given, is added to the deformations at the end in the stresses f.
     """
     kin = corotational.kinematics(x, R, element)
     change = kin.deformations - start.kin.deformations
     weighted = 0.5 * (kin.deformations + start.kin.deformations) + dissipation * change
     if excess is not None:
         weighted = weighted + (0.5 + dissipation) * excess
-    f = corotational.stresses(weighted, element)
+    stresses = corotational.stresses(weighted, element)
+    f = corotational.conjugate(_mean_J(start, kin), stresses)
     increments, theta = edges_of(u[:, :3]), u[:, 3:]
     edges = start.edges + 0.5 * increments
     d_metric = jnp.stack(
@@ -175,14 +180,38 @@ def evaluate(start: StepStart, x, R, u: Float[Array, "3 6"], element: Element, d
     w_metric, w = _weights(element)
     half = jnp.array([0.5, 1.0, 0.5])
     norm = w_metric * jnp.sum(half * d_metric * d_metric) + w * jnp.sum(turned * turned)
-    missing = jnp.sum(f * change) - jnp.sum(half * s * d_metric) - jnp.sum(p * y)
+    missing = jnp.sum(f * change[:12]) - jnp.sum(half * s * d_metric) - jnp.sum(p * y)
     moves = norm > _NEGLIGIBLE
     per_norm = jnp.where(moves, 1.0 / jnp.where(moves, norm, 1.0), 0.0)
     c = missing * per_norm
     s = s + scaled(c * w_metric, d_metric)
     p = p + scaled(c * w, _apply_transposed(A, turned))
+    if element.shape is not None:
+        stresses = formed(stresses)
     s, p, f, mu, P1, A, turned = formed((s, p, f, mu, P1, A, turned))
-    return StepState(kin, increments, edges, theta, A, turned, d_metric, change, f, mu, P1, s, p, c, per_norm)
+    return StepState(
+        kin,
+        increments,
+        edges,
+        theta,
+        A,
+        turned,
+        d_metric,
+        change,
+        f if element.shape is None else stresses,
+        f,
+        mu,
+        P1,
+        s,
+        p,
+        c,
+        per_norm,
+    )
+
+
+def _mean_J(start: StepStart, kin: Kinematics) -> Float[Array, "3 6"] | None:
+    """½(J₀ + J₁), by which w̄ changes exactly in the step; None of a flat element."""
+    return None if kin.J is None or start.kin.J is None else 0.5 * (start.kin.J + kin.J)
 
 
 def _apply(A, vectors) -> Float[Array, "3 2 3"]:
@@ -213,7 +242,8 @@ def elastic_tangent(state: StepState, start: StepStart, element: Element, dissip
     """
     E = formed(_local_tangent(state, start, element, dissipation))
     u = jnp.concatenate([state.increments, state.theta]).reshape(15)
-    f = state.f + (0.5 + dissipation) * corotational.stresses(state.change, element)
+    f = state.stresses + (0.5 + dissipation) * corotational.stresses(state.change, element)
+    f = corotational.conjugate(state.kin.J, f)
     pulled = jnp.concatenate([f[:3], _pull(state.kin, f).reshape(9)])
     w_metric, w = _weights(element)
     # What c Δπ adds: c's dependence on e' joins E, its dependence on Δπ is the row `by_change`.
@@ -286,8 +316,11 @@ def _local_tangent(state: StepState, start: StepStart, element: Element, dissipa
     kin, began, factor = state.kin, start.kin, 0.5 + dissipation
     # Stresses by e': metric (3, 12) and moments (k, 3, 12).
     H_z, H_xy = kin.H[:, 2], kin.H[:, :2]
-    membrane, tilt = _stress_derivatives(element, H_z, H_xy)
-    membrane, tilt = factor * membrane, factor * tilt
+    if element.K_coupling is None and element.shape is None:
+        membrane, tilt = _stress_derivatives(element, H_z, H_xy)
+        membrane, tilt = factor * membrane, factor * tilt
+    else:
+        membrane, tilt = _coupled_derivatives(_moduli(element, start, state, factor), H_z, H_xy)
     metric, moments = membrane[:3], jnp.concatenate([tilt.reshape(3, 2, 12), membrane[3:, None]], axis=1)
 
     # p_ki by the moments (B), by the metric and by ω̄_k at fixed stresses.
@@ -322,19 +355,36 @@ def _local_tangent(state: StepState, start: StepStart, element: Element, dissipa
 
 
 def _stress_derivatives(element: Element, H_z: Float[Array, "3 3"], H_xy: Float[Array, "3 2 3"]):
-    """K̂ ∂e/∂e' in its membrane and bending rows, (6, 12) each."""
-    Km, Kb = element.K_membrane, element.K_bending
-    if element.K_coupling is None:
-        Kb = Kb.reshape(6, 3, 2)
-        membrane = jnp.concatenate([Km[:, :3], (Km[:, 3:, None] * H_z[None]).reshape(6, 9)], axis=1)
-        tilt = Kb[:, :, 0, None] * H_xy[:, 0] + Kb[:, :, 1, None] * H_xy[:, 1]
-        return membrane, jnp.concatenate([jnp.zeros((6, 3)), tilt.reshape(6, 9)], axis=1)
-    K = jnp.concatenate(
-        [
-            jnp.concatenate([Km, element.K_coupling], axis=1),
-            jnp.concatenate([element.K_coupling.T, Kb], axis=1),
-        ]
-    )
+    """K̂ ∂e/∂e' in its membrane and bending rows, (6, 12) each, where they are not coupled."""
+    Km, Kb = element.K_membrane, element.K_bending.reshape(6, 3, 2)
+    membrane = jnp.concatenate([Km[:, :3], (Km[:, 3:, None] * H_z[None]).reshape(6, 9)], axis=1)
+    tilt = Kb[:, :, 0, None] * H_xy[:, 0] + Kb[:, :, 1, None] * H_xy[:, 1]
+    return membrane, jnp.concatenate([jnp.zeros((6, 3)), tilt.reshape(6, 9)], axis=1)
+
+
+def _moduli(element: Element, start: StepStart, state: StepState, factor) -> Float[Array, "12 12"]:
+    """∂f/∂e of the forces conjugate to the twelve deformations, which are coupled."""
+    stretched, bent, coupled = element.K_membrane, element.K_bending, element.K_coupling
+    across = jnp.zeros((6, 6)) if coupled is None else coupled
+    back = across.T
+    shape, J, J_mean = element.shape, state.kin.J, _mean_J(start, state.kin)
+    if shape is not None and J is not None and J_mean is not None:
+        curving = product(shape.stiffness, J)
+        if shape.by_bending is not None:
+            bent = bent + transposed_product(shape.by_bending, J)
+            curving = curving + shape.by_bending
+        across = across + transposed_product(shape.by_membrane, J)
+        back = back + transposed_product(J_mean, shape.by_membrane)
+        bent = bent + transposed_product(J_mean, curving)
+    bent = factor * bent
+    if shape is not None:
+        bent = bent + 0.5 * curvature_stiffness(shape, state.stresses[12:])
+    rows = [jnp.concatenate([factor * stretched, factor * across], axis=1)]
+    return jnp.concatenate([*rows, jnp.concatenate([factor * back, bent], axis=1)])
+
+
+def _coupled_derivatives(K: Float[Array, "12 12"], H_z: Float[Array, "3 3"], H_xy: Float[Array, "3 2 3"]):
+    """K ∂e/∂e' in its membrane and bending rows, (6, 12) each."""
     tilts = K[:, 6:].reshape(12, 3, 2)
     by_spins = K[:, 3:6, None] * H_z + tilts[:, :, 0, None] * H_xy[:, 0] + tilts[:, :, 1, None] * H_xy[:, 1]
     found = jnp.concatenate([K[:, :3], by_spins.reshape(12, 9)], axis=1)

@@ -21,4 +21,5 @@ def section_strains(
     x = (x0 - x0[:1]) + (d - d[:1])
     e = corotational.kinematics(x, R, element).deformations
     membrane, bending = strain_matrices(element.coordinates, element.section.beta0)
-    return jnp.concatenate([membrane @ e[:6], bending @ e[6:]], axis=1)
+    strains = membrane @ e[:6] if element.shape is None else membrane @ e[:6] + e[12:]
+    return jnp.concatenate([strains, bending @ e[6:12]], axis=1)

@@ -54,7 +54,7 @@ class Damped(eqx.Module):
     dissipated: Float[Array, ""]
     alpha: Float[Array, "n 6"] | None
     """The nodes' own, from the lumped masses; zero where degrees of freedom are held. Constant."""
-    deformations: Float[Array, "m 12"] | None
+    deformations: Float[Array, "m d"] | None
     """At the end of the step, where a material is viscous."""
 
 

@@ -26,8 +26,8 @@ from jaxshell.numerics.products import dot
 class Rates(eqx.Module):
     """First and second rates of the deformations of each element."""
 
-    first: Float[Array, "*m 12"]
-    second: Float[Array, "*m 12"]
+    first: Float[Array, "*m d"]
+    second: Float[Array, "*m d"]
 
 
 class DampedState(eqx.Module):
@@ -150,13 +150,13 @@ def turning_of_points(model: Model, u: Float[Array, "n 6"], spins: Spins) -> Any
     return total
 
 
-def deformations(model: Model, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"]) -> Float[Array, "m 12"]:
+def deformations(model: Model, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"]) -> Float[Array, "m d"]:
     """e of all elements."""
     x, R = model.gather((x, R))
     return jax.vmap(lambda x, R, element: corotational.kinematics(x, R, element).deformations)(x, R, model.elements)
 
 
-def stretching(model: Model, x, R, v: Float[Array, "n 3"], omega: Float[Array, "n 3"]) -> Float[Array, "m 12"]:
+def stretching(model: Model, x, R, v: Float[Array, "n 3"], omega: Float[Array, "n 3"]) -> Float[Array, "m d"]:
     """ė = Λ (v, ω) of all elements, by velocities and angular velocities in space."""
 
     def one(x, R, v, omega, element):
@@ -168,7 +168,7 @@ def stretching(model: Model, x, R, v: Float[Array, "n 3"], omega: Float[Array, "
     return jax.vmap(one)(x, R, v, omega, model.elements)
 
 
-def viscous_force(model: Model, x, R, rates: Float[Array, "m 12"]) -> Float[Array, "n 6"]:
+def viscous_force(model: Model, x, R, rates: Float[Array, "m d"]) -> Float[Array, "n 6"]:
     """Nodal forces Λᵀ K̂ β ė of the whole shell."""
     assert model.damping is not None and model.damping.beta is not None
 

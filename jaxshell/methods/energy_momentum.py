@@ -58,7 +58,7 @@ class ElementData(NamedTuple):
     element: Element
     start: StepStart
     inertia: DirectorMotion
-    excess: Float[Array, "12"] | None = None
+    excess: Float[Array, " d"] | None = None
     """Deformations added at the end in the stresses, in the tangent of a mixed iteration only."""
     damping: Damping | None = None
 

@@ -253,7 +253,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         return Observation(kinetic, strain, state.external_work, dissipated, linear, angular)
 
 
-def _stresses(kin: Kinematics, data: ElementData, step: Shared) -> Float[Array, "12"]:
+def _stresses(kin: Kinematics, data: ElementData, step: Shared) -> Float[Array, " d"]:
     """Of deformations weighted as in eq. (93), and of a viscous material."""
     alpha, xi = step.factors.alpha_f, step.xi
     weighted = (1.0 - alpha + xi) * kin.deformations + (alpha - xi) * data.start.deformations

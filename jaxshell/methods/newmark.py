@@ -190,7 +190,7 @@ class ForceLevelMethod(ImplicitMethod):
         return Observation(kinetic, strain, state.external_work, dissipated, linear, angular)
 
 
-def _stresses(kin: corotational.Kinematics, data: ElementData, step: StepFactors) -> Float[Array, "12"]:
+def _stresses(kin: corotational.Kinematics, data: ElementData, step: StepFactors) -> Float[Array, " d"]:
     """At the end of the step, with those of a viscous material."""
     f = corotational.stresses(kin.deformations, data.element)
     if data.damped is None:

@@ -53,7 +53,7 @@ class ElementData(NamedTuple):
     element: Element
     edges: Float[Array, "3 3"]
     """Corners of the reference shape, seen from node 1."""
-    excess: Float[Array, "12"] | None = None
+    excess: Float[Array, " d"] | None = None
     """Stresses added to those of the deformations, in the tangent of a mixed iteration only."""
     damping: Float[Array, "18 18"] | None = None
     """Resists the increments of the step: see `Relaxing`."""
@@ -164,13 +164,14 @@ class Relaxing(Static):
 
         def damping(d, R, data: ElementData):
             kin = corotational.kinematics(_corners(d, data.edges), R, data.element)
-            return self.viscosity * corotational.stiffness(kin, jnp.zeros(12), data.element, None, geometric=0.0)
+            still = jnp.zeros_like(kin.deformations)
+            return self.viscosity * corotational.stiffness(kin, still, data.element, None, geometric=0.0)
 
         d, R = model.gather((state.d, state.R))
         return begun._replace(data=begun.data._replace(damping=jax.vmap(damping)(d, R, begun.data)))
 
 
-def _stresses(kin: corotational.Kinematics, data: ElementData) -> Float[Array, "12"]:
+def _stresses(kin: corotational.Kinematics, data: ElementData) -> Float[Array, " d"]:
     f = corotational.stresses(kin.deformations, data.element)
     return f if data.excess is None else f + data.excess
 

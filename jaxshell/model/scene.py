@@ -21,6 +21,7 @@ from jaxshell.model.loads import Centrifugal, InitialStrains, Load
 from jaxshell.model.masses import Masses, PointMass
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.obstacles import Obstacle
+from jaxshell.model.patches import FOLD, smooth_labels
 from jaxshell.model.quantities import QUANTITIES
 from jaxshell.model.sections import AnySection, Regions, Section
 from jaxshell.model.sets import check_on_mesh
@@ -32,6 +33,7 @@ from jaxshell.numerics.checks import (
     check_number,
     check_positive_number,
     check_text,
+    is_concrete,
     shown,
 )
 from jaxshell.numerics.frozen import Frozen
@@ -94,6 +96,8 @@ class Scene(eqx.Module):
     masses: tuple[PointMass, ...]
     connectors: tuple[Connector, ...]
     obstacles: tuple[Obstacle, ...]
+    patches: Frozen | None = eqx.field(static=True, init=False)
+    """(m, 3) the smooth patch that each element's corner belongs to, where some are curved; else None."""
 
     def __init__(
         self,
@@ -130,13 +134,13 @@ class Scene(eqx.Module):
         self.connectors = connectors
         self.obstacles = _placed("obstacle", _objects("obstacles", obstacles, Obstacle, "jaxshell.Plane"), mesh)
         self.watch = _watched(watch, mesh, {item.name for item in self.items})
+        self.patches = _patches(mesh, self.section)
 
     def __check_init__(self):
         n = self.mesh.n_nodes
         check_text("A scene's name", self.name)
         check_kind("initial", self.initial, Initial | None, "a jaxshell.Initial or None")
         _check_defaults(self.defaults)
-        self.section.check(self.mesh)
         check_kind("damping", self.damping, RayleighDamping | None, "a jaxshell.RayleighDamping or None")
         if self.damping is not None:
             self.damping.check(self.mesh)
@@ -382,6 +386,20 @@ def _watched(watch, mesh: Mesh, names: set[str | None]) -> tuple[tuple[str, int 
     if len({label for label, _, _ in found}) < len(found):
         raise ValueError(f"watch uses a label twice: {', '.join(label for label, _, _ in found)}.")
     return tuple(found)
+
+
+def _patches(mesh: Mesh, section: AnySection) -> Frozen | None:
+    """The smooth patches of a mesh with curved elements. Raises ValueError while JAX traces its nodes."""
+    section.check(mesh)
+    if not section.curved(mesh).any():
+        return None
+    if not is_concrete(mesh.nodes):
+        raise ValueError(
+            'shape="curved" finds the folds of the mesh by its nodes, which JAX is tracing here: make the scene outside '
+            "of what is transformed, and exchange scene.mesh.nodes by equinox.tree_at within it."
+        )
+    region = section.region_of(mesh) if isinstance(section, Regions) else np.zeros(mesh.n_elements, int)
+    return Frozen(smooth_labels(np.asarray(mesh.nodes), mesh.triangles, region, FOLD))
 
 
 def _only_one(what: str, name: str, chosen: Callable[[str], np.ndarray]) -> int:

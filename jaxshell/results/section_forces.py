@@ -14,9 +14,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.assembly.discretised import rest_deformations
+from jaxshell.assembly.elements import build_elements
 from jaxshell.assembly.gauges import force_probe
 from jaxshell.elements import corotational
-from jaxshell.elements.corotational import Element
+from jaxshell.elements.corotational import Element, corners
+from jaxshell.elements.shape import Shape as Curvature
+from jaxshell.elements.shape import tangent_slopes
 from jaxshell.elements.strains import section_strains as strains_of_element
 from jaxshell.model.materials.base import strain_rotation
 from jaxshell.model.scene import Scene
@@ -170,12 +173,16 @@ def over_frames(function, scene: Scene, shape: Shape, *arguments):
 def elements_of(scene: Scene) -> Element:
     """The scene's elements for their strains: without stiffness, which takes as long to compile as all else here."""
 
-    def one(x, section):
+    def one(x, section, normals=None):
         frame, coordinates = local_frame(x)
-        area, none = 0.5 * coordinates[0] * coordinates[2], jnp.zeros((6, 6))
-        return Element(coordinates, frame, none, none, area, section)
+        area, none, shape = 0.5 * coordinates[0] * coordinates[2], jnp.zeros((6, 6)), None
+        if normals is not None:
+            no_strain = jnp.zeros((3, 6))
+            slopes = tangent_slopes(frame, normals)
+            shape = Curvature.build(corners(coordinates), slopes, section.A, no_strain, None, no_strain)
+        return Element(coordinates, frame, none, none, area, section, shape=shape)
 
-    return jax.vmap(one)(scene.mesh.nodes[scene.mesh.triangles], scene.section.resultants(scene.mesh))
+    return build_elements(scene, build=one)
 
 
 def strains_at_points(scene: Scene, elements: Element, shape: Shape) -> Float[Array, "m 3 6"]:
@@ -262,7 +269,7 @@ def strains_in_axes(scene: Scene, shape: Shape, angle, whole: bool, elastic: boo
 
 @compiled
 def energies_of_elements(scene: Scene, shape: Shape) -> Float[Array, " m"]:
-    elements = jax.vmap(Element.build)(scene.mesh.nodes[scene.mesh.triangles], scene.section.resultants(scene.mesh))
+    elements = build_elements(scene)
     if scene.initial_strains:
         rests = zip(shape.factors, rest_deformations(scene, elements), strict=True)
         elements = elements.resting_at(sum((factor * rest for factor, rest in rests), jnp.zeros(())))

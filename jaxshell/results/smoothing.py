@@ -14,13 +14,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse
 from jaxtyping import Array, Float
-from scipy.sparse.csgraph import connected_components
 
 from jaxshell.elements.strains import CORNERS_OF_MIDPOINTS
 from jaxshell.model.materials.base import strain_rotation, stress_rotation
 from jaxshell.model.mesh import Mesh
+from jaxshell.model.patches import FOLD, smooth_labels
 from jaxshell.model.scene import Scene
 from jaxshell.model.sections import Regions
 from jaxshell.numerics.checks import check_choice, check_kind, check_within, float_array, is_concrete
@@ -38,7 +37,7 @@ class Patches(NamedTuple):
     """(m, 3) number of the smooth patch around its node that an element's corner belongs to."""
 
 
-def smooth_patches(scene: Scene | Mesh, angle: float = 30.0) -> Patches:
+def smooth_patches(scene: Scene | Mesh, angle: float = FOLD) -> Patches:
     """The smooth patches of a mesh, or of a scene, whose regions are not mixed.
 
     `angle` [degrees] is the most by which the normals of neighbours may differ. Raises ValueError for nodes that JAX is
@@ -56,28 +55,7 @@ def smooth_patches(scene: Scene | Mesh, angle: float = 30.0) -> Patches:
     if isinstance(scene, Scene) and isinstance(scene.section, Regions):
         for number, elements in enumerate(scene.section.elements):
             region[elements.array] = number
-    x = nodes[triangles]
-    normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-
-    # Every edge as two places (element, corner), in the order of its nodes; those that two elements share follow.
-    ends = np.stack([[0, 1], [1, 2], [2, 0]])
-    corners = 3 * np.arange(len(triangles))[:, None, None] + ends
-    of_nodes = triangles[:, ends]
-    order = np.argsort(of_nodes, axis=2)
-    corners = np.take_along_axis(corners, order, 2).reshape(-1, 2)
-    edges = np.take_along_axis(of_nodes, order, 2).reshape(-1, 2)
-    _, inverse, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
-    shared = np.flatnonzero(count[inverse.ravel()] == 2)
-    shared = shared[np.argsort(inverse.ravel()[shared], kind="stable")].reshape(-1, 2)
-    first, second = (corners[shared[:, side]] for side in (0, 1))
-    a, b = first[:, 0] // 3, second[:, 0] // 3
-    smooth = (np.einsum("ei,ei->e", normals[a], normals[b]) >= np.cos(np.radians(angle))) & (region[a] == region[b])
-    rows, columns = first[smooth].ravel(), second[smooth].ravel()
-    size = 3 * len(triangles)
-    graph = scipy.sparse.coo_matrix((np.ones(len(rows)), (rows, columns)), (size, size))
-    _, labels = connected_components(graph, directed=False)
-    return Patches(Frozen(labels.reshape(-1, 3)))
+    return Patches(Frozen(smooth_labels(nodes, triangles, region, angle)))
 
 
 def nodal(
@@ -86,7 +64,7 @@ def nodal(
     *,
     at: str = "points",
     components: str | None = None,
-    angle: float = 30.0,
+    angle: float = FOLD,
     patches: Patches | None = None,
 ) -> Float[Array, "m 3 *c"]:
     """Smoothed values at the corners of every element: (m, 3, ...), equal at the corners of a smooth patch.

@@ -12,11 +12,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.model.mesh import Mesh
-from jaxshell.numerics.checks import LARGEST, is_concrete
+from jaxshell.numerics.checks import LARGEST, check_choice, is_concrete
 from jaxshell.numerics.frozen import Frozen
 
 BETA_0_MINIMUM = 0.01
 """Least factor of the membrane's higher-order stiffness, so that the element keeps its rank of 6."""
+
+SHAPES = ("flat", "curved")
+"""What an element is taken for: its triangle, or a part of a smooth surface through the nodes."""
 
 _ROUND_OFF = 1e-9
 
@@ -125,6 +128,10 @@ class AnySection(eqx.Module):
         """From e1 to the section's own direction [rad] in every element of `mesh`; None of one without direction."""
         return None
 
+    def curved(self, mesh: Mesh | Patch) -> np.ndarray:
+        """(m,) whether each element of `mesh` has the curvature of its surface."""
+        return np.zeros(mesh.n_elements, bool)
+
     def check(self, mesh: Mesh | Patch) -> None:
         """Raise ValueError where the section does not fit the mesh; called when the scene is made."""
 
@@ -159,6 +166,12 @@ def optimal_beta0(C: Float[Array, "3 3"]) -> Float[Array, ""]:
         + 4 * (5 * c11 - 6 * c12 + 5 * c22) * c33**2
     )
     return jnp.maximum(256.0 * jnp.linalg.det(C) / W - 1.5, BETA_0_MINIMUM)
+
+
+def given_shape(shape) -> str:
+    """A section's `shape`. Raises ValueError for any other than `SHAPES`."""
+    check_choice("shape", shape, SHAPES)
+    return shape
 
 
 def off_centre(first_moment, mass_per_area, rotary_inertia) -> bool:

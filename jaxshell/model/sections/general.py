@@ -2,6 +2,7 @@
 
 from typing import Any, ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.model.materials.base import strain_rotation
 from jaxshell.model.mesh import Mesh
-from jaxshell.model.sections.base import AnySection, Patch, Resultants, optimal_beta0
+from jaxshell.model.sections.base import AnySection, Patch, Resultants, given_shape, optimal_beta0
 from jaxshell.model.sections.direction import angles, check_direction, given_direction
 from jaxshell.numerics.checks import (
     check_finite,
@@ -36,7 +37,7 @@ class GeneralSection(AnySection):
         first_moment: ∫ρ z dz [mass/length]; None where it vanishes.
         thermal: (3, 3) or (m, 3, 3), rows ∫ C α zᵏ dz for k = 0, 1, 2 [force/length/temperature, ...], for
             `jaxshell.Thermal`; None where it does not expand.
-        direction: as in `jaxshell.Laminate`.
+        direction, shape: as in `jaxshell.Laminate`.
 
     It has no layers, and so no stresses, only section forces. All floats differentiate. Raises ValueError for matrices
     that are not symmetric, or not positive definite together.
@@ -52,6 +53,7 @@ class GeneralSection(AnySection):
     first_moment: Float[jax.Array, "*m"] | None
     thermal: Float[jax.Array, "*m 3 3"] | None
     direction: object
+    shape: str = eqx.field(static=True)
 
     def __init__(
         self,
@@ -63,6 +65,7 @@ class GeneralSection(AnySection):
         first_moment=None,
         thermal=None,
         direction=(1.0, 0.0, 0.0),
+        shape: str = "flat",
     ):
         self.A, self.D = float_array(A, "A"), float_array(D, "D")
         self.B = optional_floats("B")(B)
@@ -71,6 +74,7 @@ class GeneralSection(AnySection):
         self.first_moment = optional_floats("first_moment")(first_moment)
         self.thermal = optional_floats("thermal")(thermal)
         self.direction = given_direction(direction)
+        self.shape = given_shape(shape)
 
     def __check_init__(self):
         for name in ("A", "B", "D", "thermal"):
@@ -116,6 +120,9 @@ class GeneralSection(AnySection):
                 "[A B; B D] must be positive definite, or some deformation gains energy, but its least eigenvalue, in "
                 f"a length that makes A and D alike, is {least:.3g}."
             )
+
+    def curved(self, mesh: Mesh | Patch) -> np.ndarray:
+        return np.full(mesh.n_elements, self.shape == "curved")
 
     def check(self, mesh: Mesh | Patch) -> None:
         self._each(mesh.n_elements)

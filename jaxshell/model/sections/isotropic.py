@@ -11,7 +11,7 @@ from jaxtyping import Float
 from jaxshell.model.materials.checks import check_poisson_ratio
 from jaxshell.model.materials.isotropic import plane_stress_matrix
 from jaxshell.model.mesh import Mesh
-from jaxshell.model.sections.base import BETA_0_MINIMUM, AnySection, Layers, Patch, Resultants, check_bearable
+from jaxshell.model.sections.base import BETA_0_MINIMUM, AnySection, Layers, Patch, Resultants, check_bearable, given_shape
 from jaxshell.numerics.checks import (
     check_finite,
     check_one_or_each,
@@ -34,6 +34,8 @@ class Section(AnySection):
         poisson_ratio: ν, in (-1, 1/2].
         density: ρ [mass/length³].
         expansion: thermal strain of one degree [1/temperature], for `jaxshell.Thermal`.
+        shape: "flat" for the triangles as they are, the paper's element, or "curved" for elements that stand for a smooth
+            surface through the nodes (docs/accuracy.md).
 
     Units are the user's, consistently. Raises ValueError naming the value that is out of range.
     """
@@ -45,8 +47,10 @@ class Section(AnySection):
     poisson_ratio: Float[jax.Array, "*m"] = eqx.field(converter=floats("poisson_ratio"))
     density: Float[jax.Array, "*m"] = eqx.field(converter=floats("density"))
     expansion: Float[jax.Array, "*m"] = eqx.field(converter=floats("expansion"), default=0.0)
+    shape: str = eqx.field(static=True, default="flat")
 
     def __check_init__(self):
+        given_shape(self.shape)
         for name in _VALUES:
             check_one_or_each(name, getattr(self, name))
         check_positive("thickness", self.thickness)
@@ -65,6 +69,9 @@ class Section(AnySection):
         with np.errstate(all="ignore"):
             check_bearable("bending stiffness E h³/12(1-ν²)", young * h**3 / 12 / (1 - ratio**2))
             check_bearable("rotary inertia ρ h³/12", density * h**3 / 12)
+
+    def curved(self, mesh: Mesh | Patch) -> np.ndarray:
+        return np.full(mesh.n_elements, self.shape == "curved")
 
     def check(self, mesh: Mesh | Patch) -> None:
         self.per_element(mesh.n_elements)
@@ -96,7 +103,8 @@ class Section(AnySection):
         """The same section with every value as an array (n_elements,). Raises ValueError for another length."""
         if not n_elements:  # of a mesh of points alone
             return jax.tree.map(lambda value: jnp.zeros(0), self)
-        return Section(**{name: for_each(name, jnp.asarray(getattr(self, name)), n_elements) for name in _VALUES})
+        values = {name: for_each(name, jnp.asarray(getattr(self, name)), n_elements) for name in _VALUES}
+        return Section(**values, shape=self.shape)
 
 
 def isotropic(thickness, young_modulus, poisson_ratio, density) -> Resultants:

@@ -18,6 +18,7 @@ from jaxshell.model.sections.base import (
     Patch,
     Resultants,
     check_bearable,
+    given_shape,
     off_centre,
     optimal_beta0,
 )
@@ -50,6 +51,8 @@ class Laminate(AnySection):
         offset: z of the laminate's middle surface, from the surface of the nodes along the normals [length].
         symmetric: the plies are the lower half, and the upper one mirrors them. Then membrane and bending do not
             couple, and no coupling is compiled; a list of all plies that is symmetric by its numbers has B = 0 by them.
+        shape: "flat" for the triangles as they are, the paper's element, or "curved" for elements that stand for a smooth
+            surface through the nodes (docs/accuracy.md).
 
     A, B, D = Σ_k Q̄_k ∫ (1, z, z²) dz. Differentiable in every float. Source: R. M. Jones, Mechanics of Composite
     Materials (1999), chapter 4.
@@ -63,8 +66,16 @@ class Laminate(AnySection):
     direction: object
     offset: Float[jax.Array, ""] | None
     symmetric: bool = eqx.field(static=True)
+    shape: str = eqx.field(static=True)
 
-    def __init__(self, plies: Sequence[Ply], direction=(1.0, 0.0, 0.0), offset=0.0, symmetric: bool = False):
+    def __init__(
+        self,
+        plies: Sequence[Ply],
+        direction=(1.0, 0.0, 0.0),
+        offset=0.0,
+        symmetric: bool = False,
+        shape: str = "flat",
+    ):
         if isinstance(plies, Ply):
             plies = [plies]
         if not isinstance(plies, list | tuple) or not plies:
@@ -78,6 +89,7 @@ class Laminate(AnySection):
         none = offset is None or (isinstance(offset, int | float) and not isinstance(offset, bool) and offset == 0)
         self.offset = None if none else float_array(offset, "offset")
         self.symmetric = symmetric
+        self.shape = given_shape(shape)
 
     def __check_init__(self):
         if self.offset is not None:
@@ -86,7 +98,13 @@ class Laminate(AnySection):
 
     @classmethod
     def from_layup(
-        cls, layup: str, material: Material, ply_thickness, direction=(1.0, 0.0, 0.0), offset=0.0
+        cls,
+        layup: str,
+        material: Material,
+        ply_thickness,
+        direction=(1.0, 0.0, 0.0),
+        offset=0.0,
+        shape: str = "flat",
     ) -> "Laminate":
         """Plies of one material and thickness [length] with the angles of a text such as "[45/-45/0/90]s".
 
@@ -97,7 +115,7 @@ class Laminate(AnySection):
         thickness = float_array(ply_thickness, "ply_thickness")
         check_one_or_each("ply_thickness", thickness)
         check_positive("ply_thickness", thickness)
-        return cls([Ply(material, thickness, angle) for angle in angles], direction, offset, symmetric)
+        return cls([Ply(material, thickness, angle) for angle in angles], direction, offset, symmetric, shape)
 
     @property
     def all_plies(self) -> tuple[Ply, ...]:
@@ -149,6 +167,9 @@ class Laminate(AnySection):
             B=None if even else B,
             first_moment=None if even else first,
         )
+
+    def curved(self, mesh: Mesh | Patch) -> np.ndarray:
+        return np.full(mesh.n_elements, self.shape == "curved")
 
     def check(self, mesh: Mesh | Patch) -> None:
         for position, ply in enumerate(self.plies):

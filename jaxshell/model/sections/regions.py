@@ -97,6 +97,13 @@ class Regions(AnySection):
         found = [section.direction_angles(patch) for section, patch in self._parts(mesh)]
         return None if any(part is None for part in found) else self._joined(mesh, found)
 
+    def curved(self, mesh: Mesh | Patch) -> np.ndarray:
+        return np.concatenate([section.curved(patch) for section, patch in self._parts(mesh)])[self._order(mesh)]
+
+    def region_of(self, mesh: Mesh) -> np.ndarray:
+        """(m,) number of the region of every element."""
+        return np.repeat(np.arange(len(self.elements)), [len(e.array) for e in self.elements])[self._order(mesh)]
+
     def has_first_moment(self, mesh: Mesh | Patch) -> bool:
         return any(section.has_first_moment(patch) for section, patch in self._parts(mesh))
 
