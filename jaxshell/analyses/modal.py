@@ -28,12 +28,12 @@ from jaxshell.assembly.discretised import Model, elimination_of
 from jaxshell.assembly.sparsity import SparsityPattern
 from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import Tables, analyse
-from jaxshell.elements import corotational
+from jaxshell.elements import corotational, cubic_inertia
 from jaxshell.elements.inertia import mass_matrix
 from jaxshell.model.mechanisms import check_supported, connected_parts
 from jaxshell.model.scene import Scene
 from jaxshell.numerics import rotations
-from jaxshell.numerics.checks import is_concrete, require_float64
+from jaxshell.numerics.checks import check_choice, is_concrete, require_float64
 from jaxshell.numerics.compiled import compiled
 from jaxshell.results.eigenmodes import Eigenmodes, load_eigenmodes, save_eigenmodes
 from jaxshell.results.head import BUCKLING, MODES
@@ -102,7 +102,12 @@ class BucklingModes(eqx.Module):
 
 
 def natural_frequencies(
-    scene: Scene, count: int = 10, about: Solution | None = None, *, rigid_modes: bool = True
+    scene: Scene,
+    count: int = 10,
+    about: Solution | None = None,
+    *,
+    rigid_modes: bool = True,
+    inertia: str = "linear",
 ) -> Modes:
     """Lowest natural frequencies [Hz] and their modes, small vibrations about a given state.
 
@@ -115,6 +120,8 @@ def natural_frequencies(
         about: a solution, about whose last frame the shell vibrates, with its stresses; static or dynamic. None
             is the state at the start, with the scene's initial displacements and rotations.
         rigid_modes: whether motions as a rigid body, of frequency 0, are reported; six for a free shell.
+        inertia: "linear" or "cubic", as of `EnergyMomentum`: the latter is nearer by far on coarse meshes
+            (docs/accuracy.md). Axes that spin have "linear" only.
 
     In axes that spin (a `Centrifugal` load) gyroscopic forces couple motions that are a quarter of a period apart:
     frequencies are those of the complex pairs, seen from these axes, and differentiate once; `Modes.quarter` and
@@ -124,13 +131,16 @@ def natural_frequencies(
     Raises ValueError for a count out of range, RuntimeError when the iteration does not converge.
     """
     require_float64()
+    check_choice("inertia", inertia, ("linear", "cubic"))
+    if scene.spins and inertia != "linear":
+        raise ValueError('Frequencies in axes that spin (a Centrifugal load) have inertia="linear" only.')
     tables, pattern = analyse(structure_of(scene))
     _check_count(count, pattern.size + 2 * bool(scene.spins))
     state = _initial_state(scene) if about is None else (about.frame(-1).displacements, about.frame(-1).rotations)
     time = jnp.zeros(()) if about is None else about.times[-1]
     if about is not None and about.analysis == "static":
         scene = proportional(scene)
-    *values, units, soft, shift = _vibration_matrices(scene, tables, state, time, about is not None)
+    *values, units, soft, shift = _vibration_matrices(scene, tables, state, time, about is not None, inertia == "cubic")
     K, M = (_posed(pattern, units, v) for v in values)
     if scene.spins:
         return _spinning(scene, tables, pattern, state, time, count, (K, M, units, shift))
@@ -244,20 +254,20 @@ def _initial_state(scene: Scene):
 
 
 @compiled
-def _vibration_matrices(scene: Scene, tables: Tables, state, time, loaded: bool):
+def _vibration_matrices(scene: Scene, tables: Tables, state, time, loaded: bool, bends_mass: bool):
     """Values of K and M over the free degrees of freedom, their units, the zeros of multipliers, and a scale of ω²
     below the bending frequencies.
 
     `loaded` says that the loads hold the state in balance: then rigid bodies and joints carry forces.
     """
-    model = Model.build(scene, tables)
+    model = Model.build(scene, tables, bends_mass)
     n = model.x0.shape[0]
     still = jnp.zeros((n, 3)), jnp.broadcast_to(jnp.eye(3), (n, 3, 3))
     placed = model.x0 + model.whole(state[0], still[0]), model.whole(state[1], still[1])
     x, R = model.gather(placed)
     K = jax.vmap(corotational.tangent_stiffness)(x, R, model.elements_at((1.0, time)))
     following = model.following_stiffness(*placed, time)
-    M = jax.vmap(mass_matrix)(R, model.elements)
+    M = jax.vmap(cubic_inertia.mass_matrix if bends_mass else mass_matrix)(R, model.elements)
     forces = None
     if model.elimination is not None and loaded:
         forces = model.internal_force(*placed, time) - model.external_load(*placed, time)

@@ -66,7 +66,7 @@ class Plan(NamedTuple):
 @compiled
 def prepare(scene: Scene, tables: Tables, plan: Plan):
     """Model, start and its record."""
-    model = Model.build(scene, tables)
+    model = Model.build(scene, tables, plan.method.bends_mass)
     state = plan.method.start(model, scene, 0.0, plan.solvers)
     memory = plan.solvers.linear.memory(plan.solvers.newton) if plan.method.uses_matrix else None
     zero = jnp.zeros((), jnp.int32)

@@ -19,6 +19,7 @@ from jaxshell.assembly.structure import groups_of
 from jaxshell.assembly.tables import Tables
 from jaxshell.elements import corotational
 from jaxshell.elements.corotational import Element
+from jaxshell.elements.cubic_inertia import levers
 from jaxshell.model.contribution import Constraint, Surface
 from jaxshell.model.damping import Damping
 from jaxshell.model.history import History
@@ -55,11 +56,11 @@ class Model(eqx.Module):
     """What reads the connectors and obstacles that it watches."""
 
     @classmethod
-    def build(cls, scene: Scene, tables: Tables) -> "Model":
-        """The model of a scene; `tables` are of its `structure_of`."""
+    def build(cls, scene: Scene, tables: Tables, bends_mass: bool = False) -> "Model":
+        """The model of a scene; `tables` are of its `structure_of`. `bends_mass` as the method has it."""
         x0 = jnp.concatenate([scene.mesh.nodes, jnp.zeros((tables.multipliers, 3))])
         resultants = scene.section.resultants(scene.mesh)
-        elements = build_elements(scene, resultants)
+        elements = build_elements(scene, resultants, bends_mass=bends_mass)
         lumps = _lumps(scene, tables)
         dead = tuple(
             (_nodal(load, x0, tables, elements, lumps), load.history)
@@ -79,11 +80,14 @@ class Model(eqx.Module):
             scene.mesh.triangles,
             elements.rotary_inertia,
             elements.first_moment,
+            levers(elements) if bends_mass else None,
         )
         moving = tuple(motion_of(support, x0, scene.initial) for support in scene.supports if support.moves)
         damping = None if scene.damping is None else scene.damping.per_element(scene.mesh.n_elements)
         unit = _membrane_scale(elements, lumps) if tables.multipliers else None
         acting = _acting(scene, tables, surface, unit)
+        if bends_mass:
+            acting += _on_bending(scene, tables, surface)
         histories = (load.history for load in scene.initial_strains)
         rests = tuple(zip(rest_deformations(scene, elements), histories, strict=True))
         gauges, elimination = watching(scene, elements), elimination_of(scene, tables)
@@ -473,6 +477,12 @@ def _placed(tables: Tables) -> list[tuple[Any, Any]]:
 def _lumps(scene: Scene, tables: Tables) -> Lumps | None:
     """The scene's point masses, whose groups are the last in the tables."""
     return None if scene.point_masses is None else lumps_of(scene, *_placed(tables)[-1])
+
+
+def _on_bending(scene: Scene, tables: Tables, surface: Surface) -> tuple[Acting, ...]:
+    """What the loads add where masses follow rotations."""
+    parts = (load.on_bending() for load in scene.loads if isinstance(load, DeadLoad))
+    return tuple(Acting(p, p.data(surface), tables.triangles, None, True) for p in parts if p is not None)
 
 
 def _acting(scene: Scene, tables: Tables, surface: Surface, unit) -> tuple[Acting, ...]:

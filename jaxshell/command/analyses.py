@@ -131,7 +131,8 @@ def _found(settings: RunSettings, scene, count: int):
             raise ValueError("preload must not be zero: leave it out for the state at the start.")
         factors = _steps_to(settings.preload, _PRELOAD_STEPS)
         about = solve_static(scene, factors, save_every=_PRELOAD_STEPS)
-    modes = natural_frequencies(scene, count, about, rigid_modes=settings.rigid_modes is not False)
+    rigid, inertia = settings.rigid_modes is not False, settings.inertia or "linear"
+    modes = natural_frequencies(scene, count, about, rigid_modes=rigid, inertia=inertia)
     return modes.frequencies, modes.shapes
 
 

@@ -27,7 +27,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.elements.bending import bending_stiffness, bending_strains
 from jaxshell.elements.membrane import membrane_stiffness, membrane_strains
-from jaxshell.elements.shape import Shape, bent, curvature_stiffness, tangent_slopes
+from jaxshell.elements.shape import Relief, Shape, Tangents, bent, curvature_stiffness, tangent_slopes
 from jaxshell.model.sections import Resultants
 from jaxshell.numerics import rotations
 from jaxshell.numerics.checks import Real
@@ -57,36 +57,61 @@ class Element(eqx.Module):
     rest: Float[Array, "12"] | None = None
     """The deformations at which it is free of stress, where initial strains act; else None."""
     shape: Shape | None = None
-    """The curvature of its surface; None of a flat element."""
+    """The curvature of its surface; None where it has none."""
+    relief: Relief | None = None
+    """Of its higher-order membrane strains; None where there is none."""
+    mass: Float[Array, "12 12"] | None = None
+    """Of `jaxshell.elements.cubic_inertia`, where a method asks for it."""
 
     @classmethod
-    def build(cls, x0: Float[Array, "3 3"], section: Resultants, normals: Float[Array, "3 3"] | None = None) -> "Element":
+    def build(cls, x0: Float[Array, "3 3"], section: Resultants, tangents: Tangents | None = None) -> "Element":
         """From nodal positions x0 of the stress-free shape and the section's resultants.
 
-        `normals` (corner, 3) of the surface make it curved; with None the element is the surface.
+        `tangents` are of the surface that the element stands for; with None the triangle is the surface.
         """
         frame, coordinates = local_frame(x0)
         xy = corners(coordinates)
-        membrane = membrane_stiffness(xy, section.A, section.beta0)
-        bending = bending_stiffness(xy, section.D)
-        area, coupling, shape = 0.5 * coordinates[0] * coordinates[2], None, None
-        if section.B is not None or normals is not None:
-            membrane_B, bending_B = strain_matrices(coordinates, section.beta0)
-            if section.B is not None:
-                coupling = area / 3.0 * jnp.einsum("pij,ik,pkl->jl", membrane_B, section.B, bending_B)
-            if normals is not None:
-                means = jnp.mean(membrane_B, axis=0), jnp.mean(bending_B, axis=0)
-                shape = Shape.build(xy, tangent_slopes(frame, normals), section.A, means[0], section.B, means[1])
-        return cls(
-            coordinates,
-            frame,
-            membrane[_MEMBRANE_KEPT][:, _MEMBRANE_KEPT],
-            bending[_BENDING_KEPT][:, _BENDING_KEPT],
-            area,
-            section,
-            coupling,
-            shape=shape,
+        stretched = membrane_stiffness(xy, section.A, section.beta0)[_MEMBRANE_KEPT][:, _MEMBRANE_KEPT]
+        bent = bending_stiffness(xy, section.D)[_BENDING_KEPT][:, _BENDING_KEPT]
+        area = 0.5 * coordinates[0] * coordinates[2]
+        element = cls(coordinates, frame, stretched, bent, area, section)
+        if section.B is None and tangents is None:
+            return element
+        element = element.shaped(tangents)
+        membrane, bending = strain_matrices(element)
+        if element.relief is not None:  # which makes the membrane's strains depend on the bending deformations too
+            across = jnp.sum(jnp.swapaxes(membrane, 1, 2) @ section.A @ membrane, axis=0)
+            stretched, bent = area / 3.0 * across[:6, :6], bent + area / 3.0 * across[6:, 6:]
+            coupling = area / 3.0 * across[:6, 6:]
+        else:
+            coupling = jnp.zeros((6, 6))
+        if section.B is not None:
+            mixed = area / 3.0 * jnp.sum(jnp.swapaxes(membrane, 1, 2) @ section.B @ bending, axis=0)
+            coupling = coupling + mixed[:6]
+            if element.relief is not None:
+                bent = bent + mixed[6:] + mixed[6:].T
+        shape = element.shape
+        if shape is not None:
+            means = jnp.mean(membrane, axis=0), jnp.mean(bending, axis=0)
+            shape = shape.stiffened(area, section.A, means[0][:, :6], section.B, means[1])
+        return eqx.tree_at(
+            lambda e: (e.K_membrane, e.K_bending, e.K_coupling, e.shape),
+            element,
+            (stretched, bent, None if section.B is None and element.relief is None else coupling, shape),
+            is_leaf=lambda leaf: leaf is None,
         )
+
+    def shaped(self, tangents: Tangents | None) -> "Element":
+        """The same with what its strains need of the surface that it stands for."""
+        if tangents is None:
+            return self
+        xy, slopes = corners(self.coordinates), tangent_slopes(self.frame, tangents.normals)
+        shape = None if tangents.curved is None else Shape.build(xy, slopes, tangents.curved)
+        relief = None
+        if tangents.relaxed is not None:
+            thickness = jnp.sqrt(12.0 * jnp.trace(self.section.D) / jnp.trace(self.section.A))
+            relief = Relief.build(xy, slopes, thickness, tangents.relaxed)
+        return eqx.tree_at(lambda e: (e.shape, e.relief), self, (shape, relief), is_leaf=lambda leaf: leaf is None)
 
     def resting_at(self, rest: Float[Array, "*m 12"]) -> "Element":
         """The same with other deformations at which it is free of stress."""
@@ -115,10 +140,20 @@ def corners(coordinates: Float[Array, "3"]) -> Float[Array, "3 2"]:
     return jnp.stack([zero, zero, length, zero, bx, by]).reshape(3, 2)
 
 
-def strain_matrices(coordinates: Float[Array, "3"], beta0) -> tuple[Float[Array, "3 3 6"], Float[Array, "3 3 6"]]:
-    """Membrane strains from the first six deformations and curvatures from the last six, at mid-edges 12, 23, 31."""
-    xy = corners(coordinates)
-    return membrane_strains(xy, beta0)[:, :, _MEMBRANE_KEPT], bending_strains(xy)[:, :, _BENDING_KEPT]
+def strain_matrices(element: Element) -> tuple[Float[Array, "3 3 d"], Float[Array, "3 3 6"]]:
+    """Membrane strains and curvatures at mid-edges 12, 23, 31, linear in the deformations.
+
+    The curvatures follow from the last six deformations, and the membrane strains from the first six, of a relaxed
+    element from all twelve. Those of a curved element have w̄ besides.
+    """
+    xy = corners(element.coordinates)
+    membrane = membrane_strains(xy, element.section.beta0)[:, :, _MEMBRANE_KEPT]
+    bending = bending_strains(xy)[:, :, _BENDING_KEPT]
+    if element.relief is None:
+        return membrane, bending
+    mean = jnp.mean(membrane, axis=0)
+    higher = element.relief.factor * (membrane - mean)
+    return jnp.concatenate([mean + higher, higher[:, :, 3:] @ element.relief.drill], axis=2), bending
 
 
 def constant_strains(

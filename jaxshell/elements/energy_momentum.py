@@ -13,9 +13,11 @@ Averaging G = ∂e/∂π over the ends of the step and adding what is missing al
 
     s = ½(G₀ + G₁)ᵀ f + c Δπ,   f = K̂ (½(e₀ + e₁) + ξ Δe),   c = [f·Δe - fᵀ½(G₀ + G₁) Δπ]/|Δπ|²,
 
-so that s·Δπ = f·Δe = S₁ - S₀ + ξ ΔeᵀK̂Δe. In a curved element (`jaxshell.elements.shape`) Δe has the change of w̄ too, which is
-½(J₀ + J₁) times that of the bending deformations: f are then the forces conjugate to the twelve through this mean. The nodal forces Dπ(q_m)ᵀ s therefore do exactly that work, and they
+so that s·Δπ = f·Δe = S₁ - S₀ + ξ ΔeᵀK̂Δe. The nodal forces Dπ(q_m)ᵀ s therefore do exactly that work, and they
 have no resultant and no moment, because Dπ vanishes for rigid variations. docs/energy_momentum.md derives it.
+
+In a curved element (`jaxshell.elements.shape`) Δe has the change of w̄ too, which is ½(J₀ + J₁) times that of the
+bending deformations: f are then the forces conjugate to the twelve deformations through this mean.
 
 Everything is written with spatial vectors: where s holds a material vector s_k against R_kᵀa, the formulas hold
 p_k = R_km s_k. Index i = 0, 1 names the edges a, b, and k the nodes.

@@ -1,22 +1,48 @@
-"""The curvature of the surface that an element stands for: what it adds to the membrane strain of the flat triangle.
+"""The surface that an element stands for, where that is not its triangle.
 
-A facet is flat, the surface is not. Let w0 be the quadratic surface over the triangle that vanishes at its corners and
-has at mid-edge the height of the cubic whose slopes at the ends are those of the planes tangent to the surface there.
-Bending turns the facet's fibres by the slopes s = (w,x, w,y) of DKT, and shallow-shell theory (Marguerre; von Kármán's
-last term) gives the mean of the strain over the three mid-edges p
+**curved.** A facet is flat, the surface is not. Let w0 be the quadratic surface over the triangle that vanishes at its
+corners and has at mid-edge the height of the cubic whose slopes at the ends are those of the planes tangent to the
+surface there. Bending turns the facet's fibres by the slopes s = (w,x, w,y) of DKT, and shallow-shell theory
+(Marguerre; von Kármán's last term) gives the mean of the strain over the three mid-edges p
 
     w̄ = ⅓ Σ_p { (g_x + ½s_x) s_x,  (g_y + ½s_y) s_y,  g_x s_y + g_y s_x + s_x s_y },   g = grad w0 at p,
 
 which is added to the constant part of the membrane strain. It is quadratic in the bending deformations, so that with
 J = ∂w̄/∂e_b the change in a step is exactly Δw̄ = ½(J₀ + J₁) Δe_b: what exact conservation needs.
+
+**relaxed.** On a curved surface a bending rotation θ_t of a node has a part in the planes of its facets, which the
+membrane's higher-order strains take for a drilling rotation: that locks where a thin shell bends almost without
+stretching. In the facet's plane the surface turns by θ̄z - ½ θ̄_t·g at a corner of tangent slope g (so that a field of
+constant curvature changes has no hierarchical rotations at all where it does not stretch). Half of that, `_SHARE`, is
+taken from the drilling rotations, and the higher-order strains are divided by (1 + `_RELIEF` x²)^½, x = 8 × height of
+w0 at mid-edge / thickness, about h²/(R t): without effect where the mesh resolves √(R t). Both numbers are those that
+were best over linear statics on coarse meshes (docs/accuracy.md has the figures). All of it is linear, and costs a full
+K̂.
 """
+
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxshell.elements.bending import EDGES
+from jaxshell.numerics.checks import Real
 from jaxshell.numerics.products import dot, product, transposed_product
+
+_SHARE = 0.25
+_RELIEF = 0.05
+
+
+class Tangents(NamedTuple):
+    """The surface at the corners of an element, and what is made of it."""
+
+    normals: Float[Array, "*m 3 3"]
+    """(corner, 3) in space."""
+    curved: Real | None
+    """1 of a curved element, 0 of one among such; None where there is none in the scene."""
+    relaxed: Real | None
+    """The same of a relaxed element."""
 
 
 class Shape(eqx.Module):
@@ -34,33 +60,57 @@ class Shape(eqx.Module):
     """The same by the bending deformations, of a section that couples the two; else None."""
 
     @classmethod
-    def build(cls, xy: Float[Array, "3 2"], slopes: Float[Array, "3 2"], A, mean_strain, B, mean_curvature) -> "Shape":
-        """From the corners and the slopes of the tangent planes there, both in the element's axes.
+    def build(cls, xy: Float[Array, "3 2"], slopes: Float[Array, "3 2"], curved) -> "Shape":
+        """Without stiffness, from the corners and the slopes of the tangent planes there, in the element's axes.
 
-        A and B (None where there is none) are the section's, `mean_strain` and `mean_curvature` (3, 6) those of the
-        deformations.
+        `curved` as in `Tangents`.
         """
         edges = jnp.stack([xy[j] - xy[i] for i, j in EDGES])
         length_sq = jnp.sum(edges * edges, axis=1)
         along = edges[:, :, None] * edges[:, None, :] / length_sq[:, None, None]
-        P = 0.5 * jnp.eye(2) - 0.75 * along
+        P = curved * (0.5 * jnp.eye(2) - 0.75 * along)
         x, y = edges[:, 0], edges[:, 1]
         double_area = x[0] * y[1] - y[0] * x[1]
-        area = 0.5 * double_area
-        # Heights of w0 at mid-edge: of the cubic, l/8 times the difference of the slopes along the edge.
-        heights = jnp.stack(
-            [dot(slopes[i] - slopes[j], e) / 8.0 for (i, j), e in zip(EDGES, edges, strict=True)]
-        )
+        heights = mid_edge_heights(xy, slopes)
         # Gradients of N_a, a opposite to the edge after it; w0 = Σ 4 N_i N_j h_ij.
         gradients = jnp.stack([-y, x], axis=1)[jnp.array([1, 2, 0])] / double_area
         at_edges = []
         for p, q in EDGES:
             N = [0.5 if a in (p, q) else 0.0 for a in range(3)]
-            terms = [4.0 * h * (N[i] * gradients[j] + N[j] * gradients[i]) for (i, j), h in zip(EDGES, heights, strict=True)]
+            terms = [
+                4.0 * h * (N[i] * gradients[j] + N[j] * gradients[i]) for (i, j), h in zip(EDGES, heights, strict=True)
+            ]
             at_edges.append(terms[0] + terms[1] + terms[2])
+        return cls(strain_gradient(jnp.stack(at_edges), P), P, jnp.zeros((3, 3)), jnp.zeros((3, 6)), None)
+
+    def stiffened(self, area, A, mean_strain, B, mean_curvature) -> "Shape":
+        """The same with its stiffness. A and B (None where there is none) are the section's, `mean_strain` and
+        `mean_curvature` (3, 6) those of the deformations."""
         by_bending = None if B is None else area * product(B, mean_curvature)
-        J = strain_gradient(jnp.stack(at_edges), P)
-        return cls(J, P, area * A, area * product(A, mean_strain), by_bending)
+        return Shape(self.J, self.P, area * A, area * product(A, mean_strain), by_bending)
+
+
+class Relief(eqx.Module):
+    """What a relaxed element makes of its higher-order membrane strains."""
+
+    factor: Float[Array, ""]
+    drill: Float[Array, "3 6"]
+    """What the tilts take from the drilling rotations of the nodes."""
+
+    @classmethod
+    def build(cls, xy: Float[Array, "3 2"], slopes: Float[Array, "3 2"], thickness, relaxed) -> "Relief":
+        """From the corners and the slopes of the tangent planes there; `relaxed` as in `Tangents`."""
+        heights = 8.0 * mid_edge_heights(xy, slopes) / thickness
+        # Two of the three for a cylinder, all of them for a sphere: about the square of the largest.
+        squares = dot(heights, heights) / 1.5
+        slopes = -_SHARE * relaxed * slopes
+        rows = [jnp.zeros(6).at[2 * a : 2 * a + 2].set(slopes[a]) for a in range(3)]
+        return cls(1.0 / jnp.sqrt(1.0 + relaxed * _RELIEF * squares), jnp.stack(rows))
+
+
+def mid_edge_heights(xy: Float[Array, "3 2"], slopes: Float[Array, "3 2"]) -> Float[Array, "3"]:
+    """Heights of w0 at the middle of the edges 12, 23, 31: of the cubic, l/8 times the difference of its end slopes."""
+    return jnp.stack([dot(slopes[i] - slopes[j], xy[j] - xy[i]) / 8.0 for i, j in EDGES])
 
 
 def tangent_slopes(frame: Float[Array, "3 3"], normals: Float[Array, "3 3"]) -> Float[Array, "3 2"]:

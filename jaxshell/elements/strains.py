@@ -20,6 +20,8 @@ def section_strains(
     """
     x = (x0 - x0[:1]) + (d - d[:1])
     e = corotational.kinematics(x, R, element).deformations
-    membrane, bending = strain_matrices(element.coordinates, element.section.beta0)
-    strains = membrane @ e[:6] if element.shape is None else membrane @ e[:6] + e[12:]
+    membrane, bending = strain_matrices(element)
+    strains = membrane @ e[: membrane.shape[2]]
+    if element.shape is not None:
+        strains = strains + e[12:]
     return jnp.concatenate([strains, bending @ e[6:12]], axis=1)

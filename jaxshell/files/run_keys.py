@@ -111,7 +111,10 @@ class RunSettings:
     spectral_radius: float | None = _key("number", "ρ∞, in place of the method's", metavar="RHO")
     dissipation: float | None = _key("number", "ξ, in place of the method's", metavar="XI")
     inertia: str | None = _key(
-        "choice", "rotary inertia, in place of the method's", ("seven_point", "traditional", "none")
+        "choice",
+        "the form of inertia, in place of the method's",
+        ("seven_point", "traditional", "none", "linear", "cubic"),
+        of=("time", "modes"),
     )
     initial_acceleration: str | None = _key(
         "choice", "accelerations at the start, in place of the method's", ("consistent", "zero")

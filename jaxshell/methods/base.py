@@ -122,6 +122,8 @@ class Method(eqx.Module):
     """Whether its steps may be chosen by `StepControl`."""
     balances_means: ClassVar[bool] = False
     """Contributions enter with their means over the step; else with their forces at its end."""
+    bends_mass: ClassVar[bool] = False
+    """Static: whether the elements' masses follow the rotations (`jaxshell.elements.cubic_inertia`)."""
     has_rates: ClassVar[bool] = True
     """Whether anything moves in time: else nothing resists."""
 

@@ -8,23 +8,26 @@ no accelerations and no history at Gauss points, so the step size may change fre
 
 from typing import Any, ClassVar, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxshell.assembly.discretised import Model
-from jaxshell.elements import corotational, energy_momentum
+from jaxshell.elements import corotational, cubic_inertia, director_inertia, energy_momentum
 from jaxshell.elements.corotational import Element
 from jaxshell.elements.energy_momentum import StepStart, edges_of, mid_matrix, spin_matrix
-from jaxshell.elements.inertia import LINEAR_MASS
 from jaxshell.methods import masses, predictor
 from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Motion, Observation
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import PredictedState
 from jaxshell.model.damping import Damping
-from jaxshell.numerics.checks import Real, check_within
-from jaxshell.numerics.products import cross, dot, product, scaled
+from jaxshell.numerics.checks import Real, check_choice, check_within
+from jaxshell.numerics.products import dot
 from jaxshell.numerics.rotations import cayley, skew
+
+_INERTIA = {"linear": director_inertia, "cubic": cubic_inertia}
+"""The forms of inertia: each states its motion at the start of a step, forces, their tangent, and momenta."""
 
 
 class EnergyMomentumState(PredictedState):
@@ -42,22 +45,13 @@ class EnergyMomentumState(PredictedState):
     """Of the last steps, for the predictor."""
 
 
-class DirectorMotion(NamedTuple):
-    """One element's translational and director motion at the start of the step."""
-
-    v: Float[Array, "3 3"]
-    director: Float[Array, "3 3"]
-    """t_a = R_a n, with n the element's reference normal."""
-    rate: Float[Array, "3 3"]
-    """ṫ_a = W_a n."""
-
-
 class ElementData(NamedTuple):
     """Constants of one element during a step."""
 
     element: Element
     start: StepStart
-    inertia: DirectorMotion
+    inertia: Any
+    """The motion at the start of the step, as the form of inertia has it."""
     excess: Float[Array, " d"] | None = None
     """Deformations added at the end in the stresses, in the tangent of a mixed iteration only."""
     damping: Damping | None = None
@@ -79,6 +73,9 @@ class EnergyMomentum(ImplicitMethod):
             the energy of a free shell never rises, and momenta stay conserved. It damps the highest
             frequencies most, and makes the method first order in Δt. The energy removed is recorded
             (`Solution.energy.dissipated`).
+        inertia: "linear", whose positions are linear in the element as the paper's, or "cubic", whose positions follow
+            the nodes' rotations along every edge (`jaxshell.elements.cubic_inertia`): nearer by far where a mesh is
+            coarse for the bending waves in it. It conserves as exactly.
 
     A scene's `RayleighDamping` is exact here too: β removes (β/Δt) ΔeᵀK̂Δe of every element in every step, as ξ does,
     and α removes α Δt (v_mᵀ M v_m + ṫ_mᵀ J ṫ_m) with the mean velocities of nodes and directors. Both are recorded.
@@ -91,14 +88,25 @@ class EnergyMomentum(ImplicitMethod):
     balances_means: ClassVar[bool] = True
 
     dissipation: Real = 0.0
+    inertia: str = eqx.field(static=True, default="linear")
 
-    def __init__(self, dissipation=0.0):
+    def __init__(self, dissipation=0.0, inertia: str = "linear"):
         # An exact zero is held as an integer: floats become traced numbers, integers stay in the program's text.
         is_zero = isinstance(dissipation, int | float) and not isinstance(dissipation, bool) and dissipation == 0
         self.dissipation = 0 if is_zero else dissipation
+        self.inertia = inertia
 
     def __check_init__(self):
         check_within("dissipation", self.dissipation, 0.0, 0.5)
+        check_choice("inertia", self.inertia, tuple(_INERTIA))
+
+    @property
+    def bends_mass(self) -> bool:
+        return self.inertia == "cubic"
+
+    @property
+    def _inertia(self) -> Any:
+        return _INERTIA[self.inertia]
 
     @property
     def _dissipates(self) -> bool:
@@ -118,14 +126,13 @@ class EnergyMomentum(ImplicitMethod):
     def element_forces(self, motion: Motion, u: Float[Array, "3 6"], data: ElementData, step: Shared) -> Forces:
         state = _evaluate(motion, u, data, step)
         elastic = energy_momentum.elastic_forces(state)
-        inertial = director_inertia_forces(u, data.inertia, data.element, step.dt, _alpha(data))
+        inertial = self._inertia.forces(u, data.inertia, data.element, step.dt, _alpha(data))
         return Forces(elastic, inertial)
 
     def element_tangent(self, motion: Motion, u: Float[Array, "3 6"], data: ElementData, step: Shared):
         state = _evaluate(motion, u, data, step)
         K = energy_momentum.elastic_tangent(state, data.start, data.element, _dissipation(data, step))
-        K = K + director_inertia_tangent(motion, u, data.inertia, data.element, step.dt, _alpha(data))
-        return K
+        return K + self._inertia.tangent(motion.spin, u, data.inertia, data.element, step.dt, _alpha(data))
 
     def lump_force(self, u: Float[Array, "6"], lump: masses.ExactStart, step: Shared):
         return masses.exact_force(u, lump, step.dt)
@@ -199,8 +206,7 @@ class EnergyMomentum(ImplicitMethod):
             return 0.5 * (history(state.time) + history(state.time + dt))
 
         x, R, v, W = model.gather((state.x, state.R, state.v, state.W))
-        normals = model.elements.frame[:, None, None, 2]
-        motion = DirectorMotion(v, dot(R, normals), dot(W, normals))
+        motion = self._inertia.at_start(model.elements, R, v, W)
         elements = model.elements_at((0.5, state.time), (0.5, state.time + dt))  # one stress-free state for the step
         kin = jax.vmap(corotational.kinematics)(x, R, elements)
         data = ElementData(elements, StepStart(jax.vmap(edges_of)(x), kin), motion, damping=model.damping)
@@ -246,10 +252,9 @@ class EnergyMomentum(ImplicitMethod):
                 work = dot(change, corotational.stresses(change, data.element))
                 total = total + _dissipation(data, step) * work
             if data.damping.alpha is not None:
-                # A motion that begins with the step's mean rates has no acceleration: what is left are the forces of α.
-                _, change = _director_change(u, data.inertia)
-                mean = DirectorMotion(u[:, :3] / step.dt, data.inertia.director, change / step.dt)
-                forces = director_inertia_forces(u, mean, data.element, step.dt, data.damping.alpha)
+                # Of a motion without acceleration what is left are the forces of α.
+                mean = self._inertia.steady(u, data.inertia, step.dt)
+                forces = self._inertia.forces(u, mean, data.element, step.dt, data.damping.alpha)
                 total = total + jnp.sum(forces * u.reshape(18))
             return total
 
@@ -258,19 +263,8 @@ class EnergyMomentum(ImplicitMethod):
 
     def observe(self, model: Model, state: EnergyMomentumState) -> Observation:
         """Energies and momenta, eqs. (27), (28), (34), (61), with the masses that the scheme conserves them with."""
-        elements = model.elements
         x, R, v, W = model.gather((state.x, state.R, state.v, state.W))
-        normals = elements.frame[:, None, None, 2]
-        directors, rates = dot(R, normals), dot(W, normals)
-        weight = elements.area[:, None, None]
-        momentum = weight * elements.mass_per_area[:, None, None] * (jnp.asarray(LINEAR_MASS) @ v)
-        spin = weight * elements.rotary_inertia[:, None, None] * (jnp.asarray(LINEAR_MASS) @ rates)
-        if elements.first_moment is not None:  # ∫ρz dz couples the two
-            uneven = weight * elements.first_moment[:, None, None] * jnp.asarray(LINEAR_MASS)
-            momentum, spin = momentum + uneven @ rates, spin + uneven @ v
-        kinetic = 0.5 * (jnp.sum(v * momentum) + jnp.sum(rates * spin))
-        linear = jnp.sum(momentum, axis=(0, 1))
-        angular = jnp.sum(jnp.cross(x, momentum) + jnp.cross(directors, spin), axis=(0, 1))
+        kinetic, linear, angular = self._inertia.momenta(model.elements, x, R, v, W)
         if model.lumps is not None:
             more = masses.exact_momentum(model.lumps, state.x, state.v, state.R, state.W)
             kinetic, linear, angular = kinetic + more.kinetic, linear + more.linear, angular + more.angular
@@ -292,82 +286,3 @@ def _dissipation(data: ElementData, step: Shared) -> Any:
 
 def _alpha(data: ElementData) -> Any:
     return None if data.damping is None else data.damping.alpha
-
-
-# --- one element: inertia --------------------------------------------------------------------
-
-
-def _masses(element: Element) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
-    """∫ N_a N_b dA times ρh and ρh³/12: constant, since velocities and directors are linear in the element."""
-    linear = jnp.asarray(LINEAR_MASS)
-    return scaled(element.mass_per_area * element.area, linear), scaled(element.rotary_inertia * element.area, linear)
-
-
-def _uneven_mass(element: Element) -> Float[Array, "3 3"] | None:
-    """The same times ∫ρz dz, which couples velocities and directors; None where it vanishes."""
-    if element.first_moment is None:
-        return None
-    return scaled(element.first_moment * element.area, jnp.asarray(LINEAR_MASS))
-
-
-def _director_change(u, start: DirectorMotion):
-    """Mid-point directors t_m (3, 3) and their change t₁ - t₀ (3, 3) in the step."""
-    # t_m = ½ (I + cay(θ)) t₀, from t₁ - t₀ = θ × t_m.
-    middle = jax.vmap(lambda A, t: product(A, t))(jax.vmap(mid_matrix)(u[:, 3:]), start.director)
-    return middle, cross(u[:, 3:], middle)
-
-
-def _rate_of_change(change, rate, dt, alpha):
-    """(rate₁ - rate₀)/Δt (3, 3) where Δt ½(rate₁ + rate₀) is the `change`, plus α times the mean rate."""
-    mean = change / dt
-    found = 2.0 * (mean - rate) / dt
-    return found if alpha is None else found + alpha * mean
-
-
-def _director_step(u, start: DirectorMotion, element: Element, dt, alpha):
-    """Mid-point directors t_m (3, 3), and the rates of the momenta of velocities and directors, (3, 3) each.
-
-    Σ_b M_ab ((v₁ - v₀)/Δt + α v_m)_b and Σ_b J_ab ((ṫ₁ - ṫ₀)/Δt + α ṫ_m)_b, each with the other's changes where ∫ρz dz
-    couples them.
-    """
-    middle, change = _director_change(u, start)
-    mass, rotary = _masses(element)
-    faster, turned = _rate_of_change(u[:, :3], start.v, dt, alpha), _rate_of_change(change, start.rate, dt, alpha)
-    force, spin = product(mass, faster), product(rotary, turned)
-    uneven = _uneven_mass(element)
-    if uneven is not None:
-        force, spin = force + product(uneven, turned), spin + product(uneven, faster)
-    return middle, force, spin
-
-
-def director_inertia_forces(u, start: DirectorMotion, element: Element, dt, alpha=None) -> Float[Array, "18"]:
-    """Rate of momentum as force, and moment t_m,a × (rate of the director's momentum), on every node a.
-
-    Mass-proportional damping `alpha`, where it is not None, adds α times the mean momenta to the rates.
-    """
-    middle, force, spin = _director_step(u, start, element, dt, alpha)
-    return jnp.stack([force, cross(middle, spin)], axis=1).reshape(18)
-
-
-def director_inertia_tangent(motion: Motion, u, start: DirectorMotion, element: Element, dt, alpha=None):
-    """Derivative of `director_inertia_forces` by u, (18, 18)."""
-    factor = 2.0 / dt**2 if alpha is None else 2.0 / dt**2 + alpha / dt
-    mass, rotary = (factor * m for m in _masses(element))
-    middle, _, rate = _director_step(u, start, element, dt, alpha)
-    end = 2.0 * middle - start.director
-    skews = jax.vmap(skew)
-    by_theta = -jax.vmap(product)(skews(end), motion.spin)  # δt₁ = δω × t₁
-    moved = jax.vmap(lambda t: jax.vmap(lambda B: product(t, B))(by_theta))(skews(middle))  # (a, b, 3, 3)
-    turned = -0.5 * jax.vmap(product)(skews(rate), by_theta)
-    moved = rotary[:, :, None, None] * moved
-    eye = jnp.eye(3)
-    moments = jnp.transpose(moved + eye[:, :, None, None] * turned[:, None], (0, 2, 1, 3))
-    forces = mass[:, None, :, None] * eye[None, :, None, :]
-    coupling = lever = jnp.zeros_like(forces)
-    uneven = _uneven_mass(element)
-    if uneven is not None:
-        uneven = factor * uneven
-        coupling = uneven[:, None, :, None] * jnp.transpose(by_theta, (1, 0, 2))[None]
-        lever = uneven[:, None, :, None] * skews(middle)[:, :, None, :]
-    rows = [jnp.stack([forces, coupling], axis=3), jnp.stack([lever, moments], axis=3)]
-    return jnp.stack(rows, axis=1).reshape(18, 18)

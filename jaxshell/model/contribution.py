@@ -52,6 +52,8 @@ class Surface(NamedTuple):
     """(m,) ∫ρ z² dz."""
     first_moment: Any = None
     """(m,) ∫ρ z dz; None where it vanishes."""
+    levers: Any = None
+    """(m, 3, 3) of `jaxshell.elements.cubic_inertia.levers`, where masses follow rotations."""
 
 
 class Place(NamedTuple):

@@ -97,7 +97,7 @@ class Scene(eqx.Module):
     connectors: tuple[Connector, ...]
     obstacles: tuple[Obstacle, ...]
     patches: Frozen | None = eqx.field(static=True, init=False)
-    """(m, 3) the smooth patch that each element's corner belongs to, where some are curved; else None."""
+    """(m, 3) the smooth patch that each element's corner belongs to, where some are not flat; else None."""
 
     def __init__(
         self,
@@ -389,14 +389,14 @@ def _watched(watch, mesh: Mesh, names: set[str | None]) -> tuple[tuple[str, int 
 
 
 def _patches(mesh: Mesh, section: AnySection) -> Frozen | None:
-    """The smooth patches of a mesh with curved elements. Raises ValueError while JAX traces its nodes."""
+    """The smooth patches of a mesh with elements that are not flat. Raises ValueError while JAX traces its nodes."""
     section.check(mesh)
-    if not section.curved(mesh).any():
+    if not section.shapes(mesh).any():
         return None
     if not is_concrete(mesh.nodes):
         raise ValueError(
-            'shape="curved" finds the folds of the mesh by its nodes, which JAX is tracing here: make the scene outside '
-            "of what is transformed, and exchange scene.mesh.nodes by equinox.tree_at within it."
+            'A shape other than "flat" looks for the folds of the mesh in its nodes, which JAX is tracing here: make '
+            "the scene outside of what is transformed, and exchange scene.mesh.nodes by equinox.tree_at within it."
         )
     region = section.region_of(mesh) if isinstance(section, Regions) else np.zeros(mesh.n_elements, int)
     return Frozen(smooth_labels(np.asarray(mesh.nodes), mesh.triangles, region, FOLD))

@@ -17,9 +17,7 @@ from jaxshell.assembly.discretised import rest_deformations
 from jaxshell.assembly.elements import build_elements
 from jaxshell.assembly.gauges import force_probe
 from jaxshell.elements import corotational
-from jaxshell.elements.corotational import Element, corners
-from jaxshell.elements.shape import Shape as Curvature
-from jaxshell.elements.shape import tangent_slopes
+from jaxshell.elements.corotational import Element
 from jaxshell.elements.strains import section_strains as strains_of_element
 from jaxshell.model.materials.base import strain_rotation
 from jaxshell.model.scene import Scene
@@ -173,14 +171,10 @@ def over_frames(function, scene: Scene, shape: Shape, *arguments):
 def elements_of(scene: Scene) -> Element:
     """The scene's elements for their strains: without stiffness, which takes as long to compile as all else here."""
 
-    def one(x, section, normals=None):
+    def one(x, section, tangents=None):
         frame, coordinates = local_frame(x)
-        area, none, shape = 0.5 * coordinates[0] * coordinates[2], jnp.zeros((6, 6)), None
-        if normals is not None:
-            no_strain = jnp.zeros((3, 6))
-            slopes = tangent_slopes(frame, normals)
-            shape = Curvature.build(corners(coordinates), slopes, section.A, no_strain, None, no_strain)
-        return Element(coordinates, frame, none, none, area, section, shape=shape)
+        area, none = 0.5 * coordinates[0] * coordinates[2], jnp.zeros((6, 6))
+        return Element(coordinates, frame, none, none, area, section).shaped(tangents)
 
     return build_elements(scene, build=one)
 

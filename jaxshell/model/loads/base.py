@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxshell.model.contribution import Contribution
 from jaxshell.model.history import History
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sets import OfSets, SetName, check_on_mesh, elements_or_name
@@ -49,6 +50,10 @@ class DeadLoad(Load):
 
     def on_masses(self, mass: Float[Array, " k"]) -> Float[Array, "k 3"] | None:
         """Forces on point masses for factor 1; None where it does not act on them."""
+        return None
+
+    def on_bending(self) -> Contribution | None:
+        """What it adds where masses follow the rotations of the nodes; None of what does not act on masses."""
         return None
 
 

@@ -1,6 +1,6 @@
 """Sections, one kind a file: what the reference surface of the shell is made of."""
 
-from jaxshell.model.sections.base import AnySection, Layers, Resultants
+from jaxshell.model.sections.base import SHAPES, AnySection, Layers, Resultants
 from jaxshell.model.sections.direction import Cylindrical
 from jaxshell.model.sections.general import GeneralSection
 from jaxshell.model.sections.isotropic import Section
@@ -13,6 +13,7 @@ SECTIONS: tuple[type[AnySection], ...] = (Section, Laminate, GeneralSection, Reg
 
 __all__ = [
     "SECTIONS",
+    "SHAPES",
     "AnySection",
     "Cylindrical",
     "GeneralSection",

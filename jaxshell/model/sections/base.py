@@ -18,8 +18,9 @@ from jaxshell.numerics.frozen import Frozen
 BETA_0_MINIMUM = 0.01
 """Least factor of the membrane's higher-order stiffness, so that the element keeps its rank of 6."""
 
-SHAPES = ("flat", "curved")
-"""What an element is taken for: its triangle, or a part of a smooth surface through the nodes."""
+SHAPES = ("flat", "curved", "relaxed")
+"""What an element is taken for: its triangle, or a part of a smooth surface through the nodes, in one way or another
+(`jaxshell.elements.shape`)."""
 
 _ROUND_OFF = 1e-9
 
@@ -128,9 +129,9 @@ class AnySection(eqx.Module):
         """From e1 to the section's own direction [rad] in every element of `mesh`; None of one without direction."""
         return None
 
-    def curved(self, mesh: Mesh | Patch) -> np.ndarray:
-        """(m,) whether each element of `mesh` has the curvature of its surface."""
-        return np.zeros(mesh.n_elements, bool)
+    def shapes(self, mesh: Mesh | Patch) -> np.ndarray:
+        """(m,) the position in `SHAPES` of every element's shape; flat, unless a section says more."""
+        return np.zeros(mesh.n_elements, int)
 
     def check(self, mesh: Mesh | Patch) -> None:
         """Raise ValueError where the section does not fit the mesh; called when the scene is made."""

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.model.materials.base import strain_rotation
 from jaxshell.model.mesh import Mesh
-from jaxshell.model.sections.base import AnySection, Patch, Resultants, given_shape, optimal_beta0
+from jaxshell.model.sections.base import SHAPES, AnySection, Patch, Resultants, given_shape, optimal_beta0
 from jaxshell.model.sections.direction import angles, check_direction, given_direction
 from jaxshell.numerics.checks import (
     check_finite,
@@ -121,8 +121,8 @@ class GeneralSection(AnySection):
                 f"a length that makes A and D alike, is {least:.3g}."
             )
 
-    def curved(self, mesh: Mesh | Patch) -> np.ndarray:
-        return np.full(mesh.n_elements, self.shape == "curved")
+    def shapes(self, mesh: Mesh | Patch) -> np.ndarray:
+        return np.full(mesh.n_elements, SHAPES.index(self.shape))
 
     def check(self, mesh: Mesh | Patch) -> None:
         self._each(mesh.n_elements)

@@ -11,7 +11,16 @@ from jaxtyping import Float
 from jaxshell.model.materials.checks import check_poisson_ratio
 from jaxshell.model.materials.isotropic import plane_stress_matrix
 from jaxshell.model.mesh import Mesh
-from jaxshell.model.sections.base import BETA_0_MINIMUM, AnySection, Layers, Patch, Resultants, check_bearable, given_shape
+from jaxshell.model.sections.base import (
+    BETA_0_MINIMUM,
+    SHAPES,
+    AnySection,
+    Layers,
+    Patch,
+    Resultants,
+    check_bearable,
+    given_shape,
+)
 from jaxshell.numerics.checks import (
     check_finite,
     check_one_or_each,
@@ -34,8 +43,9 @@ class Section(AnySection):
         poisson_ratio: ν, in (-1, 1/2].
         density: ρ [mass/length³].
         expansion: thermal strain of one degree [1/temperature], for `jaxshell.Thermal`.
-        shape: "flat" for the triangles as they are, the paper's element, or "curved" for elements that stand for a smooth
-            surface through the nodes (docs/accuracy.md).
+        shape: "flat" for the triangles as they are, the paper's element. "curved" and "relaxed" for elements that stand
+            for a smooth surface through the nodes: the one nearer where the mesh resolves the waves of the shell, as in
+            dynamics; the other where a thin shell on a coarse mesh bends almost without stretching (docs/accuracy.md).
 
     Units are the user's, consistently. Raises ValueError naming the value that is out of range.
     """
@@ -70,8 +80,8 @@ class Section(AnySection):
             check_bearable("bending stiffness E h³/12(1-ν²)", young * h**3 / 12 / (1 - ratio**2))
             check_bearable("rotary inertia ρ h³/12", density * h**3 / 12)
 
-    def curved(self, mesh: Mesh | Patch) -> np.ndarray:
-        return np.full(mesh.n_elements, self.shape == "curved")
+    def shapes(self, mesh: Mesh | Patch) -> np.ndarray:
+        return np.full(mesh.n_elements, SHAPES.index(self.shape))
 
     def check(self, mesh: Mesh | Patch) -> None:
         self.per_element(mesh.n_elements)

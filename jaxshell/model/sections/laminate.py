@@ -13,6 +13,7 @@ from jaxshell.model.materials import Material
 from jaxshell.model.materials.base import rotated, strain_rotation
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.sections.base import (
+    SHAPES,
     AnySection,
     Layers,
     Patch,
@@ -51,8 +52,9 @@ class Laminate(AnySection):
         offset: z of the laminate's middle surface, from the surface of the nodes along the normals [length].
         symmetric: the plies are the lower half, and the upper one mirrors them. Then membrane and bending do not
             couple, and no coupling is compiled; a list of all plies that is symmetric by its numbers has B = 0 by them.
-        shape: "flat" for the triangles as they are, the paper's element, or "curved" for elements that stand for a smooth
-            surface through the nodes (docs/accuracy.md).
+        shape: "flat" for the triangles as they are, the paper's element. "curved" and "relaxed" for elements that stand
+            for a smooth surface through the nodes: the one nearer where the mesh resolves the waves of the shell, as in
+            dynamics; the other where a thin shell on a coarse mesh bends almost without stretching (docs/accuracy.md).
 
     A, B, D = Σ_k Q̄_k ∫ (1, z, z²) dz. Differentiable in every float. Source: R. M. Jones, Mechanics of Composite
     Materials (1999), chapter 4.
@@ -168,8 +170,8 @@ class Laminate(AnySection):
             first_moment=None if even else first,
         )
 
-    def curved(self, mesh: Mesh | Patch) -> np.ndarray:
-        return np.full(mesh.n_elements, self.shape == "curved")
+    def shapes(self, mesh: Mesh | Patch) -> np.ndarray:
+        return np.full(mesh.n_elements, SHAPES.index(self.shape))
 
     def check(self, mesh: Mesh | Patch) -> None:
         for position, ply in enumerate(self.plies):

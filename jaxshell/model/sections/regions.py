@@ -97,8 +97,8 @@ class Regions(AnySection):
         found = [section.direction_angles(patch) for section, patch in self._parts(mesh)]
         return None if any(part is None for part in found) else self._joined(mesh, found)
 
-    def curved(self, mesh: Mesh | Patch) -> np.ndarray:
-        return np.concatenate([section.curved(patch) for section, patch in self._parts(mesh)])[self._order(mesh)]
+    def shapes(self, mesh: Mesh | Patch) -> np.ndarray:
+        return np.concatenate([section.shapes(patch) for section, patch in self._parts(mesh)])[self._order(mesh)]
 
     def region_of(self, mesh: Mesh) -> np.ndarray:
         """(m,) number of the region of every element."""
