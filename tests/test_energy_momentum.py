@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 import jaxshell as js
 from jaxshell.elements import corotational, energy_momentum
-from jaxshell.methods.energy_momentum import DirectorMotion, ElementData, Shared
+from jaxshell.elements.director_inertia import DirectorMotion
+from jaxshell.methods.energy_momentum import ElementData, Shared
 from jaxshell.model.loads.pressure import mean_pressure_force
 
 NEWTON = js.Newton(tolerance=1e-13)

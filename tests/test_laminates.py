@@ -15,6 +15,7 @@ from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.elements import corotational, energy_momentum
 from jaxshell.elements.corotational import Element
+from jaxshell.elements.director_inertia import DirectorMotion
 from jaxshell.elements.inertia import PointStart, Spins
 from jaxshell.methods import energy_momentum as exact
 from jaxshell.methods import generalized_energy_momentum as paper
@@ -61,7 +62,7 @@ def method_and_data(name, far):
         return method, newmark.ElementData(element, far.v, far.a, far.points), method.factors(0.1), far.x
     if name == "EnergyMomentum":
         normal = element.frame[2]
-        motion = exact.DirectorMotion(far.v, far.R @ normal, far.a)
+        motion = DirectorMotion(far.v, far.R @ normal, far.a)
         data = exact.ElementData(element, energy_momentum.StepStart(energy_momentum.edges_of(far.x), far.start), motion)
         return js.EnergyMomentum(0.1), data, exact.Shared(jnp.array(0.1), jnp.array(0.1)), far.x
     method = js.GeneralizedEnergyMomentum(0.8, 0.1)

@@ -17,10 +17,10 @@ from properties import EPS, PROFILE, altitude_of, cases, numbers, powers, rigid_
 from scipy.spatial.transform import Rotation
 
 import jaxshell as js
-from jaxshell.elements import corotational, energy_momentum
+from jaxshell.elements import corotational, director_inertia, energy_momentum
+from jaxshell.elements.director_inertia import DirectorMotion
 from jaxshell.elements.inertia import PointStart, StepFactors
 from jaxshell.methods import seven_point
-from jaxshell.methods.energy_momentum import DirectorMotion, director_inertia_forces
 from jaxshell.numerics import rotations
 
 ROUNDINGS = 100
@@ -217,7 +217,7 @@ def conserving_step(x, R, u, motion: DirectorMotion, dissipation, dt, element):
     S = corotational.strain_energy
     gained = S(e1, element) - S(e0, element) + 2 * dissipation * S(e1 - e0, element)
     motion = motion._replace(director=R @ element.frame[2])
-    inertial = director_inertia_forces(u, motion, element, dt)
+    inertial = director_inertia.forces(u, motion, element, dt)
     bound, _, e, *_ = bounds(x, R, element)
     bound = bound + bounds(end.x, end.R, element)[0]
     scale = S(e1, element) + S(e0, element)

@@ -168,7 +168,7 @@ def test_one_isotropic_ply_is_the_isotropic_section(halves):
 def test_stiffness_is_the_gram_matrix_of_the_strains(section):
     """Σ_p BᵀSB over the mid-edges: today's membrane and bending stiffness to round-off, and the coupling."""
     element = element_of(section)
-    of_membrane, of_bending = (np.asarray(b) for b in strain_matrices(element.coordinates, element.section.beta0))
+    of_membrane, of_bending = (np.asarray(b) for b in strain_matrices(element))
     B = np.concatenate(
         [np.pad(of_membrane, ((0, 0), (0, 0), (0, 6))), np.pad(of_bending, ((0, 0), (0, 0), (6, 0)))], axis=1
     )
@@ -185,7 +185,7 @@ def test_constant_strains():
     element = element_of(UNSYMMETRIC)
     strain, curvature = np.array([1.0, -0.4, 0.7]), np.array([0.3, 1.1, -0.6])
     e = np.asarray(constant_strains(element.coordinates, jnp.asarray(strain), jnp.asarray(curvature)))
-    of_membrane, of_bending = strain_matrices(element.coordinates, element.section.beta0)
+    of_membrane, of_bending = strain_matrices(element)
     for at_point in range(3):
         np.testing.assert_allclose(of_membrane[at_point] @ e[:6], strain, atol=1e-14)
         np.testing.assert_allclose(of_bending[at_point] @ e[6:], curvature, atol=1e-14)

@@ -136,6 +136,7 @@ def _skew_products(a: Float[Array, "k 3"], b: Float[Array, "k 3"]) -> Float[Arra
 
 def momenta(elements: Element, x: Float[Array, "m 3 3"], R, v, W) -> Momenta:
     """Kinetic energy and momenta with the masses with which the scheme keeps them."""
+    assert elements.mass is not None
     motion = at_start(elements, R, v, W)
     rates = jnp.concatenate([v[:, :, None], motion.rates], axis=2)
     places = jnp.concatenate([x[:, :, None], motion.axes], axis=2)

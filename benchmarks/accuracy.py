@@ -1,0 +1,153 @@
+"""The figures of docs/accuracy.md: what the surface and the inertia of an element bring on the same mesh.
+
+    python benchmarks/accuracy.py                          # all tables (some fifteen minutes), into the page
+    python benchmarks/accuracy.py plates                   # some of them
+
+Tables go between the page's markers `<!-- NAME -->` and `<!-- end NAME -->`, and to the screen. Errors are to limits
+that the page states. `cost` times whole steps: on a machine that does nothing else.
+"""
+
+import argparse
+import dataclasses
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+import equinox as eqx
+import jax
+import numpy as np
+
+import jaxshell as js
+from benchmarks.pages import fill, table
+from jaxshell import scenes
+from jaxshell.model import generators
+from jaxshell.model.supports import ALL
+
+jax.config.update("jax_enable_x64", True)
+
+PAGE = Path(__file__).parent.parent / "docs" / "accuracy.md"
+SHAPES = ("flat", "curved", "relaxed")
+FORMS = (("flat", "linear"), ("flat", "cubic"), ("curved", "linear"), ("curved", "cubic"))
+CAP = {0.3: -0.1817, 0.5: -0.512, 1.0: -2.540}
+"""Limits of the opened cap's displacement A, by extrapolation of the flat element over 24×5, 48×10, 96×20."""
+_SMALL = 1e-6
+"""Part of the loads under which deflections are linear, to 1e-4 of themselves at worst."""
+
+
+def shaped(scene: js.Scene, shape: str, thickness=None) -> js.Scene:
+    """The scene with elements of that shape."""
+    old = scene.section
+    thickness = old.thickness if thickness is None else thickness
+    section = js.Section(thickness, old.young_modulus, old.poisson_ratio, old.density, shape=shape)
+    return dataclasses.replace(scene, section=section)
+
+
+def opened_cap() -> str:
+    """A at three times, with EnergyMomentum at Δt = 0.005."""
+    rows = []
+    for mesh in ((24, 5), (48, 10), (96, 20)):
+        for shape, inertia in FORMS:
+            scene = shaped(scenes.opened_cap(mesh), shape)
+            run = js.simulate(scene, js.EnergyMomentum(inertia=inertia), dt=0.005, t_end=1.0)
+            found = [float(run.watched["A"][round(t / 0.005)]) for t in CAP]
+            errors = [f"{a:.4f} ({a / b - 1:+.1%})" for a, b in zip(found, CAP.values(), strict=True)]
+            rows.append(["×".join(map(str, mesh)), shape, inertia, *errors])
+    return table(["mesh", "shape", "inertia", *(f"A({t})" for t in CAP)], rows)
+
+
+CLAMPED = (35.985, 73.394, 73.394, 108.22, 131.58)
+FREE = (13.468, 19.596, 24.270, 34.801, 34.801)
+
+
+def plates() -> str:
+    """Frequencies of square plates, errors in per cent."""
+    young, ratio, thickness, density = 1e7, 0.3, 0.005, 2.0
+    unit = np.sqrt(young * thickness**2 / (12 * (1 - ratio**2) * density)) / (2 * np.pi)
+    rows = []
+    for name, exact in (("free", FREE), ("clamped", CLAMPED)):
+        for n in (4, 8, 16):
+            mesh = generators.rectangle(1.0, 1.0, (n, n))
+            edge = mesh.nodes_where(lambda x: np.max(np.abs(x[:2] - 0.5), axis=0) > 0.5 - 1e-9)
+            supports = (js.Support(edge, ALL),) if name == "clamped" else ()
+            scene = js.Scene(mesh, js.Section(thickness, young, ratio, density), supports)
+            for inertia in ("linear", "cubic"):
+                found = js.natural_frequencies(scene, 5, rigid_modes=False, inertia=inertia).frequencies
+                errors = np.asarray(found) / unit / np.array(exact) - 1
+                rows.append([f"{name} {n}×{n}", inertia, *(f"{100 * e:+.2f}" for e in errors)])
+    return table(["plate", "inertia", "1", "2", "3", "4", "5"], rows)
+
+
+def held_cap(divisions, thickness) -> js.Scene:
+    """The opened cap, with its motions as a rigid body held: they move nothing else."""
+    scene = scenes.opened_cap(divisions, thickness=thickness)
+    x = np.asarray(scene.mesh.nodes)
+    rim = np.flatnonzero(x[:, 2] < x[:, 2].min() + 1e-9)
+    near = [int(rim[np.argmin(np.linalg.norm(x[rim, :2] / 10 - to, axis=1))]) for to in ((1, 0), (-1, 0), (0, 1))]
+    more = js.Support(near[:2], "uy"), js.Support(near[2:], "ux")
+    return dataclasses.replace(scene, supports=(*scene.supports, *more))
+
+
+STATICS = (
+    ("pinched hemisphere", 9.355, [((n, n), scenes.hemisphere((n, n))) for n in (4, 8, 16)]),
+    ("opened cap, h = 0.4", 0.7585, [(d, held_cap(d, 0.4)) for d in ((12, 3), (24, 5), (48, 10))]),
+    ("opened cap, h = 0.1", 6.563, [(d, held_cap(d, 0.1)) for d in ((12, 3), (24, 5), (48, 10))]),
+    ("pinched cylinder", 65.95, [((n, n), scenes.pinched_cylinder((n, n))) for n in (8, 16, 32)]),
+    ("pinched semi-cylinder", 81.9, [((n, n), scenes.pinched_semi_cylinder((n, n))) for n in (8, 16, 32)]),
+    ("pull-out of a cylinder", 45.464, [((n, n), scenes.cylinder_pull_out((n, n))) for n in (8, 16)]),
+    ("hinged roof", 7.4847, [((n, n), scenes.hinged_roof((n, n))) for n in (4, 8, 16)]),
+    ("twisted beam", 0.0053990, [((n, n // 4), scenes.twisted_beam((n, n // 4))) for n in (8, 16)]),
+)
+"""(name, limit of the first watched deflection under the scene's loads if all were linear, meshes)."""
+
+
+def deflection(scene: js.Scene) -> float:
+    """The first deflection that the scene watches, per its loads, in the linear limit."""
+    loads = [eqx.tree_at(lambda load: load.force, load, _SMALL * load.force) for load in scene.loads]
+    run = js.solve_static(dataclasses.replace(scene, loads=loads), [1.0])
+    return abs(float(next(iter(run.watched.values()))[-1])) / _SMALL
+
+
+def statics() -> str:
+    """Errors of linear deflections in per cent."""
+    rows = []
+    for name, limit, meshes in STATICS:
+        for mesh, scene in meshes:
+            errors = [deflection(shaped(scene, shape)) / limit - 1 for shape in SHAPES]
+            rows.append([name, "×".join(map(str, mesh)), *(f"{100 * e:+.2f}" for e in errors)])
+    return table(["", "mesh", *SHAPES], rows)
+
+
+def cost() -> str:
+    """Times of a step of EnergyMomentum on the opened cap, beside that of the flat element with linear inertia."""
+    seconds = {}
+    forms = (*FORMS, ("relaxed", "linear"))
+    for repeat in range(4):  # the first compiles
+        for form in forms:
+            scene = shaped(scenes.opened_cap(), form[0])
+            began = time.perf_counter()
+            run = js.simulate(scene, js.EnergyMomentum(inertia=form[1]), dt=0.01, t_end=2.0)
+            jax.block_until_ready(run.displacements)
+            if repeat:
+                taken = time.perf_counter() - began, float(np.mean(run.iterations[1:]))
+                seconds[form] = min(seconds.get(form, taken), taken)
+    least = seconds[forms[0]][0]
+    rows = [[*form, f"{1e3 * s / 200:.2f}", f"{s / least:.2f}", f"{i:.2f}"] for form, (s, i) in seconds.items()]
+    return table(["shape", "inertia", "ms a step", "ratio", "iterations a step"], rows)
+
+
+TABLES = {"opened_cap": opened_cap, "plates": plates, "statics": statics, "cost": cost}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tables", nargs="*", choices=[[], *TABLES], help="which tables; all by default")
+    for name in parser.parse_args().tables or TABLES:
+        text = TABLES[name]()
+        print(f"{name}\n{text}\n", flush=True)
+        fill(PAGE, {name: text})
+
+
+if __name__ == "__main__":
+    main()
