@@ -123,7 +123,11 @@ def schema() -> Schema:
         "loads": _list(_any(*map(_load, LOAD_KINDS.values()))),
         "thermal": _list(_arguments(Thermal)),
         "initial_strain": _list(_arguments(InitialStrain)),
-        **{key: _list(_any(*map(_item, kinds.values()))) for key, kinds in ITEM_KINDS.items() if kinds},
+        **{
+            key: _list(_any(*(_item(kind, len(kinds) > 1) for kind in kinds.values())))
+            for key, kinds in ITEM_KINDS.items()
+            if kinds
+        },
         "damping": _damping(),
         "watch": {"type": "object", "additionalProperties": _watch()},
         "initial": _any(_initial(), _list(_initial())),
@@ -228,8 +232,8 @@ def _load(load: Any) -> Schema:
     return _table(properties, ["kind", load.value, *(key for key, needed in more.items() if needed)])
 
 
-def _item(kind: Any) -> Schema:
-    """A connector, an obstacle or the like, whose keys are the arguments of its class."""
+def _item(kind: Any, one_of_several: bool) -> Schema:
+    """A connector, an obstacle or the like: the arguments of its class, and its kind where there are several."""
     found = _arguments(kind, kind={"const": kind.kind})
     of_nodes, of_sides = _any(TEXT, COUNT, _list(COUNT)), _table(_NODES | {"inner": _EDGES["inner"]})
     at_point = _table({POINT: ARRAYS}, [POINT])
@@ -244,7 +248,7 @@ def _item(kind: Any) -> Schema:
             found["properties"][name] = _said(TEXT, "by which it is watched")
         elif name not in _KNOWN:
             found["properties"][name] = _any(NUMBER, ARRAYS)
-    return found | {"required": ["kind", *found["required"]]}
+    return found | {"required": ["kind"] * one_of_several + found["required"]}
 
 
 def _damping() -> Schema:

@@ -53,6 +53,8 @@ class Defaults(NamedTuple):
     """"SI" puts units (s, m, J, ...) on the pictures' axes; empty leaves them plain."""
     axes: tuple[tuple[str, float, str], ...] = ()
     """(watch label, divisor, axis label) of watched quantities that pictures show as multiples of something."""
+    method: tuple[str, ...] | None = None
+    """Names of methods, such as ("exact",), where the scene is not usually run with the first of `methods`."""
 
 
 class Scene(eqx.Module):
