@@ -13,6 +13,7 @@ from scipy.signal import lsim
 
 import jaxshell as js
 from jaxshell import scenes
+from jaxshell.command.report import describe_scene
 from jaxshell.files.scene_file import read_scene_file
 
 TIGHT = js.Newton(tolerance=1e-13)
@@ -39,6 +40,7 @@ def test_what_they_state():
     assert crown[0] == edge[0] == 0.06 and crown[2] - edge[2] == pytest.approx(0.015 * (1 - np.cos(np.radians(40))))
     assert [tape.mesh.node_sets[name].tolist() for name in ("left", "right")] == [[15], [16]]
     assert float(tape.supports[0].angle) == pytest.approx(np.pi / 3) and tape.name == "tape_spring"
+    assert "loose" not in describe_scene(tape)  # references of bodies are no parts that were forgotten
     released = scenes.tape_spring((4, 2), folded=js.Initial(displacements=np.zeros((17, 3))))
     assert not any(support.moves for support in released.supports) and len(released.held_dofs) == 6
     for divisions in ((3, 2), (4, 3)):

@@ -200,13 +200,16 @@ def tape_spring(e) -> Figure:
     figure.suptitle("Steel tape, 120 × 21 × 0.1 mm: folded by arc length, and let go", fontsize=9.5)
     places = figure.subplot_mosaic([["path", "fold"], ["free", "free"]], height_ratios=[1.4, 1.0])
     left, right, below = (places[name] for name in ("path", "fold", "free"))
-    moment = np.where(e.moment > 0, 1e3 * e.moment, np.nan)  # the start is not on a logarithmic axis
-    left.semilogy(e.angle, np.where(e.stable, moment, np.nan), ".-", ms=3, color=BLUE, label="stable")
-    left.semilogy(e.angle, np.where(e.stable, np.nan, moment), "--", color=VERMILLION, label="unstable")
-    left.axhline(1e3 * e.classic, color="black", lw=0.8, ls=":", label="(1 + ν) D α")
-    left.axhline(1e3 * e.fold.fun, color="black", lw=0.8, ls="-.", label="with free edges")
-    left.set(xlabel="angle between the ends in degrees", ylabel="moment in mN m", ylim=(10, 500))
-    left.legend()
+    closer = left.inset_axes((0.4, 0.27, 0.57, 0.32))
+    for panel in (left, closer):
+        panel.plot(e.angle, np.where(e.stable, 1e3 * e.moment, np.nan), ".-", ms=3, color=BLUE, label="stable")
+        panel.plot(e.angle, np.where(e.stable, np.nan, 1e3 * e.moment), "--", color=VERMILLION, label="unstable")
+        panel.axhline(1e3 * e.classic, color="black", lw=0.8, ls=":", label="(1 + ν) D α")
+        panel.axhline(1e3 * e.fold.fun, color="black", lw=0.8, ls="-.", label="with free edges")
+    left.set(xlabel="angle between the ends in degrees", ylabel="moment in mN m", ylim=(-15, 480))
+    closer.set(xlim=(10, 122), ylim=(25, 42))
+    closer.tick_params(labelsize=7)
+    left.legend(loc="upper right", ncols=2, fontsize=7)
     nodes, triangles = np.asarray(e.tape.mesh.nodes)[:-2], e.tape.mesh.triangles
     shape = nodes + np.asarray(e.path.displacements)[-1, :-2]
     surface(right, 1e3 * shape, triangles, 1e3 * shape[triangles, 2].mean(1), "height in mm", "mm")
