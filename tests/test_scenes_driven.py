@@ -3,9 +3,7 @@
 import dataclasses
 from pathlib import Path
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -14,6 +12,8 @@ from scipy.signal import lsim
 import jaxshell as js
 from jaxshell import scenes
 from jaxshell.command.report import describe_scene
+from jaxshell.command.run_settings import chosen_methods, with_defaults
+from jaxshell.files.run_keys import RunSettings
 from jaxshell.files.scene_file import read_scene_file
 
 TIGHT = js.Newton(tolerance=1e-13)
@@ -50,6 +50,15 @@ def test_what_they_state():
         scenes.dropped_tray(height=-1.0)
     with pytest.raises(ValueError, match="tip_mass"):
         scenes.shaken_plate(tip_mass=0.0)
+
+
+def test_a_scene_may_name_its_method():
+    tray = scenes.dropped_tray((2, 2))
+    assert list(chosen_methods(with_defaults(RunSettings(), tray, "time"), tray)) == ["exact"]
+    asked = RunSettings.checked({"method": "EMC"})
+    assert list(chosen_methods(with_defaults(asked, tray, "time"), tray)) == ["EMC"]
+    with pytest.raises(ValueError, match="method must be a tuple"):
+        dataclasses.replace(tray, defaults=tray.defaults._replace(method="exact"))
 
 
 def test_the_scene_file_states_the_shaken_plate():
@@ -143,22 +152,3 @@ def test_the_shaken_plate_moves_as_the_oscillator_of_theory():
         assert np.abs(found).max() == pytest.approx(peak, rel=of_peak)
         assert of_history is None or np.abs(found - theory).max() < of_history * peak
         assert left(run) < 1e-10
-
-
-# --- derivatives -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_the_bending_differentiates():
-    """Adjoint and forward mode, by the angle of one hub and the mass of the other."""
-    tape = scenes.tape_spring((4, 2))
-
-    def square(p):
-        made = eqx.tree_at(lambda s: s.supports[0].angle, tape, replace_fn=lambda angle: angle * p[0])
-        made = eqx.tree_at(lambda s: s.connectors[1].mass, made, replace_fn=lambda mass: mass * p[1])
-        run = js.simulate(made, js.EnergyMomentum(), dt=np.full(8, 2e-3), newton=TIGHT, throw=False)
-        return 1e6 * jnp.sum(run.displacements[-1] ** 2)
-
-    reverse, forward = jax.jit(jax.grad(square))(jnp.ones(2)), jax.jit(jax.jacfwd(square))(jnp.ones(2))
-    assert jnp.all(forward != 0)
-    np.testing.assert_allclose(reverse, forward, rtol=1e-10)

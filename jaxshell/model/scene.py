@@ -406,8 +406,8 @@ def _check_defaults(defaults) -> None:
             check_positive_number(name, getattr(defaults, name))
     check_count("save_every", defaults.save_every)
     check_choice("units", defaults.units, ("", "SI"))
-    for name in ("picture_times", "methods", "axes"):
-        if not isinstance(getattr(defaults, name), tuple):
+    for name in ("picture_times", "methods", "axes", "method"):
+        if not isinstance(getattr(defaults, name), tuple) and (name, defaults.method) != ("method", None):
             raise ValueError(f"defaults.{name} must be a tuple, but it is {shown(getattr(defaults, name))}.")
     for time in defaults.picture_times:
         check_number("picture_times", time)
