@@ -75,7 +75,7 @@ def tape_spring(divisions: tuple[int, int] = (48, 8), angle: float = 120.0, fold
     holds the right one. divisions = (along, around), both even. Watches "crown" and "edge" (uz) at mid-length, and
     "end x", "end z" of the right hub.
     """
-    check_number("angle", angle)
+    check_positive_number("angle", angle)
     along, around = generators.counts("tape_spring", divisions, (2, 2))
     if along % 2 or around % 2:
         raise ValueError(f"divisions must be even, so that there is a node in the middle, but are {divisions}.")
