@@ -14,7 +14,7 @@ from jaxshell.model.refinement.places import WAYS, middles
 from jaxshell.model.refinement.split import CHILDREN, MIDDLE, Split
 from jaxshell.model.refinement.supports import carried_supports
 from jaxshell.model.scene import Scene
-from jaxshell.model.sections import Regions
+from jaxshell.model.sections.regions import region_of_elements
 from jaxshell.model.surface import TrueSurface
 from jaxshell.numerics.checks import check_choice, check_count, check_kind, check_within
 
@@ -53,7 +53,7 @@ def refine(
 
 def _refined(scene: Scene, surface: TrueSurface | str | None, crease: float) -> Scene:
     split = Split(scene.mesh)
-    mesh = _refined_mesh(scene.mesh, split, surface, crease, _groups(scene))
+    mesh = _refined_mesh(scene.mesh, split, surface, crease, region_of_elements(scene.section, scene.mesh))
     new = mesh.nodes[split.n_shell : split.n_shell + len(split.edges)]
     connectors = _carried("connector", carry.carried_connector, scene.connectors, split)
     return Scene(
@@ -100,16 +100,6 @@ def _set_of_nodes(name: str, nodes: np.ndarray, split: Split) -> np.ndarray:
         return carry.with_between(nodes, split).array
     except ValueError as error:
         raise ValueError(f"node_sets {name!r}: {error}") from error
-
-
-def _groups(scene: Scene) -> np.ndarray | None:
-    """(m,) the region of every element; None of a scene with one section."""
-    if not isinstance(scene.section, Regions):
-        return None
-    groups = np.zeros(scene.mesh.n_elements, np.int64)
-    for k, numbers in enumerate(scene.section.elements):
-        groups[numbers.array] = k
-    return groups
 
 
 def _carried(what: str, carried, items, split: Split) -> list:
