@@ -47,7 +47,7 @@ def carried_load(load: Load, split: Split) -> Load:
     """The load with the same resultants. Raises ValueError for one that says numbers which are not known."""
     kinds = {field.name: _kind(load, field.name) for field in dataclasses.fields(load)}
     times = 2 if "side" in kinds.values() else CHILDREN if "elements" in kinds else 1
-    return dataclasses.replace(_repeated(load, split, times), **_numbers(load, kinds, split))
+    return _repeated(load, split, times, **_numbers(load, kinds, split))
 
 
 def carried_mass(mass: PointMass, split: Split) -> PointMass:
@@ -130,9 +130,8 @@ def _numbers(item: Any, kinds: dict[str, str | None], split: Split) -> dict[str,
     return found
 
 
-def _repeated(item: Any, split: Split, times: int) -> Any:
-    """With values for each of several elements or edges as often as these have children; and all that it is made of."""
-    changed = {}
+def _repeated(item: Any, split: Split, times: int, **changed: Any) -> Any:
+    """With values for each of several elements or edges as often as these have children, in all that it is made of."""
     for field in dataclasses.fields(item):
         value, axes = getattr(item, field.name), _axes_of_one(type(item)).get(field.name)
         if isinstance(value, eqx.Module):

@@ -15,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxshell.model.corner_normals import corner_normals
+from jaxshell.model.corner_normals import corner_normals, smooth_edges
 from jaxshell.model.edges import Edges
+from jaxshell.model.normals import area_vectors
 from jaxshell.model.surface import TrueSurface
 from jaxshell.numerics.compiled import compiled
 from jaxshell.numerics.frozen import Frozen
@@ -51,13 +52,16 @@ def _on_surface(surface: TrueSurface, a: Float[Array, "k 3"], b: Float[Array, "k
 def _smooth(nodes: Float[Array, "n 3"], triangles: Frozen, crease, groups: Frozen | None) -> Float[Array, "k 3"]:
     edges = Edges(triangles.array)
     a, b = (nodes[edges.ends[:, end]] for end in (0, 1))
-    corners = corner_normals(nodes, edges, None, crease, None if groups is None else groups.array)
+    normals = corner_normals(nodes, edges, None, crease, None if groups is None else groups.array).normals
+    facets = area_vectors(nodes, edges.triangles)
+    # A line where sections meet is a crease of normals, and no curve of its own: on a plate it stays where it is.
+    smooth = smooth_edges(_unit(facets), edges, crease)
     along = b - a
     length = jnp.linalg.norm(along, axis=1, keepdims=True)
     d = along / length
-    inside = _across_normals(d, edges, corners.normals)
-    on_line = _along_lines(nodes, d, length, edges, corners.smooth)
-    tangents = [jnp.where(corners.smooth[:, None], t, s) for t, s in zip(inside, on_line, strict=True)]
+    inside = _across_normals(d, edges, normals)
+    on_line = _along_lines(nodes, d, length, edges, smooth)
+    tangents = [jnp.where(smooth[:, None], t, s) for t, s in zip(inside, on_line, strict=True)]
     T_a, T_b = (2.0 * length * t / (1.0 + jnp.sum(t * d, axis=1, keepdims=True)) for t in tangents)
     return 0.5 * (a + b) + 0.125 * (T_a - T_b)
 

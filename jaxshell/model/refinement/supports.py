@@ -11,6 +11,7 @@ import numpy as np
 from jaxshell.model.refinement.initial import halfway
 from jaxshell.model.refinement.split import Split
 from jaxshell.model.supports import Support
+from jaxshell.numerics.directions import across
 from jaxshell.numerics.frozen import Frozen
 
 
@@ -101,4 +102,6 @@ def _common_axes(a: Support, b: Support, positions: tuple[int, int], ends: tuple
         )
     if a.axes is None or b.axes is None or a.axes is b.axes:
         return a.axes
+    if all((y in dofs) == (z in dofs) for dofs in (a.dofs, b.dofs) for y, z in (("uy", "uz"), ("ry", "rz"))):
+        return across(a.axes[0] + b.axes[0])  # only x has a meaning, as in a support by its normal
     return halfway(a.axes.T[None], b.axes.T[None])[0].T
