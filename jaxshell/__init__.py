@@ -66,7 +66,7 @@ if TYPE_CHECKING:
     from jaxshell.model.materials import Isotropic, Orthotropic
     from jaxshell.model.mesh import Mesh, structured_triangles
     from jaxshell.model.obstacles import Box, Cylinder, Plane, Sphere
-    from jaxshell.model.refinement import refine
+    from jaxshell.model.refinement import coarsen, refine
     from jaxshell.model.scene import Scene
     from jaxshell.model.sections import Cylindrical, GeneralSection, Laminate, Ply, Section
     from jaxshell.model.supports import Support, clamped, pinned, symmetry
@@ -176,6 +176,7 @@ __all__ = [
     "TwistedSurface",
     "VTKHDFWriter",
     "clamped",
+    "coarsen",
     "failure_index",
     "failure_index_of",
     "gradients",
@@ -270,7 +271,7 @@ _HOMES = {
     "results.smoothing": ["nodal", "smooth_patches"],
     "results.stresses": ["stresses", "stresses_of"],
     "model.obstacles": ["Box", "Cylinder", "Plane", "Sphere"],
-    "model.refinement": ["refine"],
+    "model.refinement": ["coarsen", "refine"],
     "model.scene": ["Scene"],
     "plotting": ["plotting"],
     "scenes": ["scenes"],

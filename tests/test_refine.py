@@ -315,6 +315,48 @@ def test_joints_of_two_edges_join_what_is_between():
     np.testing.assert_allclose(x[pair], [[1.0, 0.5, 0.0]] * 2, atol=1e-15)
 
 
+@pytest.mark.parametrize("name", ["spherical_cap", "opened_cap", "hemisphere", "twisted_beam"])
+def test_a_coarsened_scene_of_the_library_is_that_with_half_the_divisions(name):
+    half, scene = (getattr(js.scenes, name)(divisions) for divisions in COARSENED[name])
+    coarse = js.coarsen(scene)
+    np.testing.assert_allclose(coarse.mesh.nodes, half.mesh.nodes, atol=1e-13 * float(jnp.abs(half.mesh.nodes).max()))
+    assert {tuple(t) for t in coarse.mesh.triangles.tolist()} == {tuple(t) for t in half.mesh.triangles.tolist()}
+    assert np.array_equal(coarse.held_dofs, half.held_dofs) and coarse.watch == half.watch
+    loads = [sum(load.nodal(s.mesh.nodes, s.mesh.triangles, None) for load in s.loads) for s in (coarse, half)]
+    np.testing.assert_allclose(loads[0], loads[1], atol=1e-12 * float(jnp.abs(loads[1]).max()))
+
+
+def test_coarsening_undoes_refinement(rich, rich_fine):
+    back = js.coarsen(rich_fine)
+    np.testing.assert_allclose(back.mesh.nodes, rich.mesh.nodes, atol=1e-15)
+    assert np.array_equal(back.mesh.triangles, rich.mesh.triangles)
+    for sets in ("node_sets", "element_sets", "side_sets"):
+        assert getattr(back.mesh, sets) == getattr(rich.mesh, sets)
+    assert np.array_equal(back.held_dofs, rich.held_dofs) and back.watch == rich.watch
+    np.testing.assert_allclose(resultants(back), resultants(rich), rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(back.section.resultants(back.mesh).D, rich.section.resultants(rich.mesh).D, rtol=1e-14)
+    np.testing.assert_allclose(back.damping.alpha, rich.damping.alpha, rtol=1e-14)
+    np.testing.assert_allclose(back.initial.velocities, rich.initial.velocities, atol=1e-14)
+    assert back.connectors[1].nodes.array.tolist() == [10, 11]
+
+
+@pytest.mark.parametrize(
+    ("scene", "message"),
+    [
+        (lambda: js.scenes.spherical_cap(3), "The mesh can not be coarsened"),
+        (lambda: js.Scene(FOUR, SECTION, [js.pinned([1])]), "support 0: no nodes of the coarser mesh"),
+        (lambda: js.Scene(FOUR, SECTION, loads=[js.Pressure(1.0, elements=[0])]), "load 0: some of the elements"),
+        (lambda: js.Scene(FOUR, SECTION, masses=[js.PointMass([1], 1.0)]), "mass 0: node 1 is in the middle"),
+    ],
+)
+def test_what_a_coarser_mesh_cannot_say_is_refused_by_name(scene, message):
+    with pytest.raises(ValueError, match=message):
+        js.coarsen(scene())
+
+
+COARSENED = {"spherical_cap": (2, 4), "opened_cap": ((8, 2), (16, 4)), "hemisphere": ((2, 2), (4, 4))}
+COARSENED["twisted_beam"] = ((4, 2), (8, 4))
+FOUR = generators.rectangle(1.0, 1.0, (4, 4))
 MESH = generators.rectangle(1.0, 1.0, (3, 3))
 
 

@@ -45,7 +45,7 @@ def carried_damping(damping: RayleighDamping | None, split: Split) -> RayleighDa
 
 def carried_load(load: Load, split: Split) -> Load:
     """The load with the same resultants. Raises ValueError for one that says numbers which are not known."""
-    kinds = {field.name: _kind(load, field.name) for field in dataclasses.fields(load)}
+    kinds = {field.name: kind_of(load, field.name) for field in dataclasses.fields(load)}
     times = 2 if "side" in kinds.values() else CHILDREN if "elements" in kinds else 1
     return _repeated(load, split, times, **_numbers(load, kinds, split))
 
@@ -62,7 +62,7 @@ def carried_obstacle(obstacle: Obstacle, split: Split) -> Obstacle:
 
 def carried_connector(item: Connector, split: Split) -> list[Connector]:
     """The connector, and a second one where its options stay at its pairs of nodes and new ones have none."""
-    kinds = {field.name: _kind(item, field.name) for field in dataclasses.fields(item)}
+    kinds = {field.name: kind_of(item, field.name) for field in dataclasses.fields(item)}
     numbers = _numbers(item, kinds, split)
     for field in dataclasses.fields(item):
         value = getattr(item, field.name)
@@ -108,7 +108,7 @@ def _pairs_between(joint: Joint, split: Split) -> np.ndarray:
     return np.array(sorted(found), np.int64).reshape(-1, 2)
 
 
-def _kind(item: Any, name: str) -> str | None:
+def kind_of(item: Any, name: str) -> str | None:
     """Whether the numbers of a field are of nodes, edges or elements; None of a field that holds none."""
     return getattr(item, "sets", {}).get(name, _FIELDS.get(name))
 
@@ -133,7 +133,7 @@ def _numbers(item: Any, kinds: dict[str, str | None], split: Split) -> dict[str,
 def _repeated(item: Any, split: Split, times: int, **changed: Any) -> Any:
     """With values for each of several elements or edges as often as these have children, in all that it is made of."""
     for field in dataclasses.fields(item):
-        value, axes = getattr(item, field.name), _axes_of_one(type(item)).get(field.name)
+        value, axes = getattr(item, field.name), axes_of_one(type(item)).get(field.name)
         if isinstance(value, eqx.Module):
             changed[field.name] = _repeated(value, split, times)
         elif isinstance(value, tuple) and any(isinstance(part, eqx.Module) for part in value):
@@ -146,7 +146,7 @@ def _repeated(item: Any, split: Split, times: int, **changed: Any) -> Any:
 
 
 @functools.cache
-def _axes_of_one(kind: type) -> dict[str, int]:
+def axes_of_one(kind: type) -> dict[str, int]:
     """Fields that hold one value or one for each of several, and how many axes one has, as their shapes say."""
     found = {"direction": 1}
     for name, hint in typing.get_type_hints(kind).items():
