@@ -13,7 +13,7 @@ from jaxshell.files.imperfection import IMPERFECTION, KEYS
 from jaxshell.files.initial import MOTION
 from jaxshell.files.items import ITEM_KINDS, POINT
 from jaxshell.files.run_keys import ANALYSES, OF, RunSettings
-from jaxshell.files.scene_file import HOLD, LOAD_KINDS, READING, SETS, load_keys
+from jaxshell.files.scene_file import HOLD, LOAD_KINDS, READING, REFINE, SETS, load_keys
 from jaxshell.files.sections import MATERIAL_KINDS, SECTION_KINDS
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.generators import GENERATORS
@@ -160,6 +160,7 @@ def _mesh() -> Schema:
         "side_sets": _any(_PAIRS, of_sides),
     }
     sets = {key: {"type": "object", "additionalProperties": kinds[key]} for key in SETS}
+    sets[REFINE] = _said(COUNT, "how often every triangle is cut in four, the whole scene with it")
     sets[IMPERFECTION] = _any(_imperfection(), _list(_imperfection()))
     halves = {"enum": ["split", "error"]}
     reading = {"quads": halves, "second_order": halves, "merge": NUMBER, "orient": SWITCH}

@@ -14,15 +14,15 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse
 from jaxtyping import Array, Float
-from scipy.sparse.csgraph import connected_components
 
 from jaxshell.elements.strains import CORNERS_OF_MIDPOINTS
+from jaxshell.model.corner_normals import fans_of, smooth_edges
+from jaxshell.model.edges import Edges
 from jaxshell.model.materials.base import strain_rotation, stress_rotation
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.scene import Scene
-from jaxshell.model.sections import Regions
+from jaxshell.model.sections.regions import region_of_elements
 from jaxshell.numerics.checks import check_choice, check_kind, check_within, float_array, is_concrete
 from jaxshell.numerics.compiled import compiled
 from jaxshell.numerics.frozen import Frozen
@@ -51,33 +51,17 @@ def smooth_patches(scene: Scene | Mesh, angle: float = 30.0) -> Patches:
         raise ValueError(
             "Patches are found by the shape: give nodal(patches=smooth_patches(scene)) where it is traced."
         )
-    nodes, triangles = np.asarray(mesh.nodes), mesh.triangles
-    region = np.zeros(len(triangles), int)
-    if isinstance(scene, Scene) and isinstance(scene.section, Regions):
-        for number, elements in enumerate(scene.section.elements):
-            region[elements.array] = number
-    x = nodes[triangles]
-    normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-
-    # Every edge as two places (element, corner), in the order of its nodes; those that two elements share follow.
-    ends = np.stack([[0, 1], [1, 2], [2, 0]])
-    corners = 3 * np.arange(len(triangles))[:, None, None] + ends
-    of_nodes = triangles[:, ends]
-    order = np.argsort(of_nodes, axis=2)
-    corners = np.take_along_axis(corners, order, 2).reshape(-1, 2)
-    edges = np.take_along_axis(of_nodes, order, 2).reshape(-1, 2)
-    _, inverse, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
-    shared = np.flatnonzero(count[inverse.ravel()] == 2)
-    shared = shared[np.argsort(inverse.ravel()[shared], kind="stable")].reshape(-1, 2)
-    first, second = (corners[shared[:, side]] for side in (0, 1))
-    a, b = first[:, 0] // 3, second[:, 0] // 3
-    smooth = (np.einsum("ei,ei->e", normals[a], normals[b]) >= np.cos(np.radians(angle))) & (region[a] == region[b])
-    rows, columns = first[smooth].ravel(), second[smooth].ravel()
-    size = 3 * len(triangles)
-    graph = scipy.sparse.coo_matrix((np.ones(len(rows)), (rows, columns)), (size, size))
-    _, labels = connected_components(graph, directed=False)
+    region = region_of_elements(scene.section, mesh) if isinstance(scene, Scene) else None
+    fans = _fans(mesh.nodes, mesh.connectivity, jnp.asarray(float(angle)), None if region is None else Frozen(region))
+    _, labels = np.unique(np.asarray(fans), return_inverse=True)
     return Patches(Frozen(labels.reshape(-1, 3)))
+
+
+@compiled
+def _fans(nodes: Float[Array, "n 3"], triangles: Frozen, angle, region: Frozen | None):
+    edges = Edges(triangles.array)
+    facets = jax.vmap(local_frame)(nodes[triangles.array])[0][:, 2]
+    return fans_of(edges, smooth_edges(facets, edges, angle, None if region is None else region.array))
 
 
 def nodal(

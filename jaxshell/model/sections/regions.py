@@ -135,6 +135,16 @@ class Regions(AnySection):
         return np.argsort(np.concatenate([e.array for e in self.elements]))
 
 
+def region_of_elements(section: AnySection, mesh: Mesh | Patch) -> np.ndarray | None:
+    """(m,) the number of the region that every element is in; None of a section that has none."""
+    if not isinstance(section, Regions):
+        return None
+    region = np.zeros(mesh.n_elements, np.int64)
+    for number, elements in enumerate(section.elements):
+        region[elements.array] = number
+    return region
+
+
 def _with_zeros(resultants: Resultants, name: str, shape: tuple[int, ...]) -> Resultants:
     if getattr(resultants, name) is not None:
         return resultants
