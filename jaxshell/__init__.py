@@ -66,9 +66,11 @@ if TYPE_CHECKING:
     from jaxshell.model.materials import Isotropic, Orthotropic
     from jaxshell.model.mesh import Mesh, structured_triangles
     from jaxshell.model.obstacles import Box, Cylinder, Plane, Sphere
+    from jaxshell.model.refinement import coarsen, refine
     from jaxshell.model.scene import Scene
     from jaxshell.model.sections import Cylindrical, GeneralSection, Laminate, Ply, Section
     from jaxshell.model.supports import Support, clamped, pinned, symmetry
+    from jaxshell.model.surface import CylindricalSurface, FlatSurface, SphericalSurface, TwistedSurface
     from jaxshell.numerics.plane_stress import principal, von_mises
     from jaxshell.results.export.vtkhdf import VTKHDFWriter
     from jaxshell.results.failure import Strengths, failure_index, failure_index_of, ks
@@ -105,6 +107,7 @@ __all__ = [
     "Checkpointed",
     "Cylinder",
     "Cylindrical",
+    "CylindricalSurface",
     "Dashpot",
     "DeadPressure",
     "Dense",
@@ -115,6 +118,7 @@ __all__ = [
     "ElasticSupport",
     "Energy",
     "EnergyMomentum",
+    "FlatSurface",
     "FollowerEdgeForce",
     "FollowerForce",
     "GeneralSection",
@@ -158,6 +162,7 @@ __all__ = [
     "Solution",
     "Sphere",
     "Spherical",
+    "SphericalSurface",
     "Spring",
     "StepControl",
     "Stored",
@@ -168,8 +173,10 @@ __all__ = [
     "Tie",
     "TorsionSpring",
     "Traction",
+    "TwistedSurface",
     "VTKHDFWriter",
     "clamped",
+    "coarsen",
     "failure_index",
     "failure_index_of",
     "gradients",
@@ -185,6 +192,7 @@ __all__ = [
     "principal",
     "reactions",
     "read_model",
+    "refine",
     "scenes",
     "section_forces",
     "section_forces_of",
@@ -263,6 +271,7 @@ _HOMES = {
     "results.smoothing": ["nodal", "smooth_patches"],
     "results.stresses": ["stresses", "stresses_of"],
     "model.obstacles": ["Box", "Cylinder", "Plane", "Sphere"],
+    "model.refinement": ["coarsen", "refine"],
     "model.scene": ["Scene"],
     "plotting": ["plotting"],
     "scenes": ["scenes"],
@@ -290,6 +299,7 @@ _HOMES = {
         "TorsionSpring",
     ],
     "model.supports": ["Support", "clamped", "pinned", "symmetry"],
+    "model.surface": ["CylindricalSurface", "FlatSurface", "SphericalSurface", "TwistedSurface"],
 }
 """The public names by their modules. A package's own name stands for the package."""
 

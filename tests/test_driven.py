@@ -10,6 +10,7 @@ import pytest  # noqa: E402
 from test_scene_file import read  # noqa: E402
 
 import jaxshell as js  # noqa: E402
+from jaxshell.analyses.simulation import check_turns  # noqa: E402
 from jaxshell.analyses.statics import proportional  # noqa: E402
 from jaxshell.command.check_scene import described_scene  # noqa: E402
 from jaxshell.model.generators import rectangle  # noqa: E402
@@ -123,6 +124,8 @@ def test_steps_of_half_a_turn_are_refused():
     scene = js.Scene(BLADE, SECTION, [turning(1.0, js.History([0.0, 1.0, 2.0], [0.0, 0.5, 40.5]))])
     with pytest.raises(ValueError, match=r"support 0 turns its nodes by 4 rad .* from time 1 to 1.1, .* below 0.0785"):
         js.simulate(scene, js.Newmark(), dt=0.1, t_end=2.0)
+    with pytest.raises(ValueError, match="turns its nodes by 4 rad"):
+        jax.jit(lambda: check_turns(scene, np.full(20, 0.1)))()  # the trace is of something else
     with pytest.raises(ValueError, match="settle: a support with a prescribed acceleration"):
         shaken = js.Support([0, 1], "uz", acceleration=1.0, history=RAMP)
         js.settle(js.Scene(BLADE, SECTION, [js.Support([0, 1], ("ux", "uy", "rx", "ry", "rz")), shaken]))

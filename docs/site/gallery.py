@@ -195,6 +195,49 @@ def closed_shell(e) -> Figure:
     return figure
 
 
+def tape_spring(e) -> Figure:
+    figure = Figure(figsize=(6.7, 4.8), layout="constrained")
+    figure.suptitle("Steel tape, 120 × 21 × 0.1 mm: folded by arc length, and let go", fontsize=9.5)
+    places = figure.subplot_mosaic([["path", "fold"], ["free", "free"]], height_ratios=[1.4, 1.0])
+    left, right, below = (places[name] for name in ("path", "fold", "free"))
+    closer = left.inset_axes((0.4, 0.27, 0.57, 0.32))
+    for panel in (left, closer):
+        panel.plot(e.angle, np.where(e.stable, 1e3 * e.moment, np.nan), ".-", ms=3, color=BLUE, label="stable")
+        panel.plot(e.angle, np.where(e.stable, np.nan, 1e3 * e.moment), "--", color=VERMILLION, label="unstable")
+        panel.axhline(1e3 * e.classic, color="black", lw=0.8, ls=":", label="(1 + ν) D α")
+        panel.axhline(1e3 * e.fold.fun, color="black", lw=0.8, ls="-.", label="with free edges")
+    left.set(xlabel="angle between the ends in degrees", ylabel="moment in mN m", ylim=(-15, 480))
+    closer.set(xlim=(10, 122), ylim=(25, 42))
+    closer.tick_params(labelsize=7)
+    left.legend(loc="upper right", ncols=2, fontsize=7)
+    nodes, triangles = np.asarray(e.tape.mesh.nodes)[:-2], e.tape.mesh.triangles
+    shape = nodes + np.asarray(e.path.displacements)[-1, :-2]
+    surface(right, 1e3 * shape, triangles, 1e3 * shape[triangles, 2].mean(1), "height in mm", "mm")
+    right.set_title(f"folded by {e.angle[-1]:.0f}°")
+    crown = np.flatnonzero(np.abs(nodes[:, 1]) < 1e-9)
+    for frame in range(0, len(e.run.frame_times), 3):
+        x = 1e3 * (nodes + np.asarray(e.run.displacements)[frame, :-2])[crown]
+        below.plot(x[:, 0], x[:, 2], label=f"{1e3 * float(e.run.frame_times[frame]):.0f} ms")
+    below.set(
+        xlabel="x in mm", ylabel="z in mm", title="crown after the right end is let go, EnergyMomentum, Δt = 50 µs"
+    )
+    below.set_aspect("equal")
+    below.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
+    return figure
+
+
+def shaken_plate(run) -> Figure:
+    figure, (left, right) = panels("Plate with a mass at its tip on a shaken base, EnergyMomentum, Δt = 1 ms")
+    time, tip, base = (1e3 * np.asarray(values) for values in (run.times, run.watched["tip"], run.watched["base"]))
+    left.plot(time, tip, label="tip")
+    left.plot(time, base, "--", color=VERMILLION, label="base")
+    left.set(xlabel="t in ms", ylabel="displacement in space in mm")
+    left.legend()
+    right.plot(time, tip - base)
+    right.set(xlabel="t in ms", ylabel="tip against base in mm")
+    return figure
+
+
 def shape_gradient(e) -> Figure:
     figure, (left, right) = panels(f"Clamped panel 0.4 × 0.4 m: lowest frequency {e.first:.1f} → {e.found:.1f} Hz")
     place = (1e3 * e.side * e.x, 1e3 * e.side * e.y, e.triangles)
@@ -248,12 +291,18 @@ def sweep(e) -> Figure:
     return figure
 
 
-def of_scene_file(path: Path) -> Figure:
-    """The shapes of a run from the command line."""
+SCENES = ("dropped_tray",)
+"""Scenes of the library that the gallery shows as the command line runs them."""
+
+
+def of_scene(path: Path) -> Figure:
+    """Of a run from the command line, of a scene file or a scene's name: its shapes, or what is drawn of it here."""
     from jaxshell.command.cli import main
 
     assert main(["run", str(path), "--quiet", "--no-plots"]) == 0
     run = js.Solution.load(f"{path.stem}.h5")
+    if path.stem in globals():
+        return globals()[path.stem](run)
     return js.plotting.figures({f"{path.name}": run})["shapes"]
 
 
@@ -268,8 +317,8 @@ def picture_of(path: Path) -> Image.Image:
     """An example's picture; of those without a function here the one that they write."""
     if path.suffix == ".ipynb":
         return of_notebook(path)
-    if path.suffix == ".toml":
-        figure = of_scene_file(path)
+    if path.suffix == ".toml" or path.name in SCENES:
+        figure = of_scene(path)
     else:
         names = SimpleNamespace(**runpy.run_path(str(path)))
         draw = globals().get(path.stem)
@@ -284,7 +333,7 @@ def picture_of(path: Path) -> Image.Image:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     paths = [*ROOT.glob("examples/*.py"), *ROOT.glob("examples/*.toml"), *ROOT.glob("notebooks/*.ipynb")]
-    found = {path.stem: path for path in sorted(paths)}
+    found = {path.stem: path for path in (*sorted(paths), *map(Path, SCENES))}
     parser.add_argument("names", nargs="*", choices=[[], *found], help="which; all by default")
     PICTURES.mkdir(parents=True, exist_ok=True)
     for name in parser.parse_args().names or found:

@@ -148,7 +148,9 @@ def check_turns(scene: Scene, steps, start=0.0) -> None:
         if support.rotation is None or not all(map(is_concrete, (*jax.tree.leaves(support), steps, start))):
             continue
         times = start + np.concatenate([[0.0], np.cumsum(steps)])
-        turns = np.abs(np.diff(np.asarray(support.angle) * np.asarray(support.history(times))))  # pyright: ignore[reportOptionalCall]
+        # NumPy's: in a trace JAX's would be traced, though all that it takes is known.
+        factors = np.interp(times, support.history.times, support.history.values)  # pyright: ignore[reportOptionalMemberAccess]
+        turns = np.abs(np.diff(np.asarray(support.angle) * factors))
         if np.any(turns >= np.pi):
             i = int(np.argmax(turns >= np.pi))
             raise ValueError(

@@ -9,9 +9,11 @@ from jaxtyping import Array, Float
 from jaxshell.elements.corotational import Element
 from jaxshell.elements.cubic_inertia import mass_of
 from jaxshell.elements.shape import Tangents
+from jaxshell.model.corner_normals import corner_normals
+from jaxshell.model.edges import Edges
 from jaxshell.model.scene import Scene
 from jaxshell.model.sections import SHAPES, Resultants
-from jaxshell.model.tangent_planes import tangent_normals
+from jaxshell.model.sections.regions import region_of_elements
 
 
 def build_elements(
@@ -30,13 +32,15 @@ def build_elements(
 
 def _elements(scene: Scene, resultants: Resultants | None, build):
     """The elements, and the normals at their corners where some are curved."""
-    nodes, triangles = scene.mesh.nodes, scene.mesh.triangles
-    resultants = scene.section.resultants(scene.mesh) if resultants is None else resultants
-    if scene.patches is None:
+    mesh = scene.mesh
+    nodes, triangles = mesh.nodes, mesh.triangles
+    resultants = scene.section.resultants(mesh) if resultants is None else resultants
+    shapes = scene.section.shapes(mesh)
+    if not shapes.any():
         return jax.vmap(build)(nodes[triangles], resultants), None
-    shapes = scene.section.shapes(scene.mesh)
     curved, relaxed = (_chosen(shapes == SHAPES.index(shape)) for shape in ("curved", "relaxed"))
-    normals = tangent_normals(nodes, triangles, scene.patches.array)
+    # Of the nodes, not of the surface that the mesh may remember: nodes may have been moved off it.
+    normals = corner_normals(nodes, Edges(triangles), groups=region_of_elements(scene.section, mesh)).normals
     elements = jax.vmap(build)(nodes[triangles], resultants, Tangents(normals, curved, relaxed))
     if curved is None:
         return elements, None

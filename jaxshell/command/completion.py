@@ -6,7 +6,18 @@ from collections.abc import Sequence
 from typing import Any
 
 SHELLS = ("bash", "zsh", "fish")
-SCENES = ("cap", "plate", "opened_cap", "flying_cylinder", "l_shaped_plate", "snapping_panel", "spinning_plate")
+SCENES = (
+    "cap",
+    "plate",
+    "opened_cap",
+    "flying_cylinder",
+    "l_shaped_plate",
+    "snapping_panel",
+    "spinning_plate",
+    "dropped_tray",
+    "tape_spring",
+    "shaken_plate",
+)
 """The library's names, which a press of the tab key has no time to import."""
 _HOW = {
     "bash": 'eval "$(jaxshell completion bash)" in ~/.bashrc',

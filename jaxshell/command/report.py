@@ -22,8 +22,9 @@ def describe_scene(scene: Scene) -> str:
     """One line: the scene's name and size; and one that names the parts of a shell that nothing connects."""
     free = 6 * scene.mesh.n_nodes - len(scene.held_dofs)
     line = f"{scene.name}: {scene.mesh.n_elements} triangles, {scene.mesh.n_nodes} nodes, {free} unknowns"
-    count, part = connected_parts(scene.mesh.triangles, scene.mesh.n_nodes)
-    if count == 1:
+    # Points, which no triangle has by intention, are the last nodes.
+    count, part = connected_parts(scene.mesh.triangles, scene.mesh.n_nodes - scene.mesh.points)
+    if count <= 1:
         return line
     sizes, first = np.bincount(part), np.unique(part, return_index=True)[1]
     named = [f"one of {size} nodes with node {node}" for size, node in zip(sizes, first, strict=True)]

@@ -30,6 +30,9 @@ def add(commands) -> None:
     run.add_argument(
         "--divisions", type=int, nargs="+", metavar="N", help="divisions of the mesh (library scenes only)"
     )
+    run.add_argument(
+        "--refine", type=int, default=0, metavar="N", help="cut every triangle in four, N times (docs/refinement.md)"
+    )
     add_options(run)
     run.add_argument("--output", type=Path, default=Path("."), metavar="DIR", help="where files go (default: here)")
     run.add_argument(
@@ -50,6 +53,8 @@ def _run(options: argparse.Namespace) -> int:
     one_thread_for_small_meshes(options.scene, options.divisions)
     prepare_jax()
     scene, of_file, stem = open_scene(options.scene, options.divisions)
+    if options.refine:
+        scene, stem = _refined(options, scene), f"{stem}_refined_{options.refine}"
     settings = settled(options, of_file, scene)
     scene = with_picture_times(scene, settings)
     analysis = str(settings.analysis)
@@ -58,6 +63,15 @@ def _run(options: argparse.Namespace) -> int:
     if analysis != "time":
         return run_analysis(options, settings, scene, stem)
     return _run_in_time(options, settings, scene, stem)
+
+
+def _refined(options: argparse.Namespace, scene):
+    """The scene of --refine. Raises ValueError where a run on another mesh would go on."""
+    from jaxshell.model.refinement import refine
+
+    if options.go_on:
+        raise ValueError("--continue goes on on the mesh that the run was made with: leave --refine out.")
+    return refine(scene, options.refine)
 
 
 def _run_in_time(options: argparse.Namespace, settings, scene, stem: str) -> int:

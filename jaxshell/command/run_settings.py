@@ -124,7 +124,9 @@ def first_step(options: argparse.Namespace, of_file: RunSettings, scene) -> floa
 
 
 def _of_scene(scene) -> RunSettings:
-    return RunSettings.checked({key: getattr(scene.defaults, key, None) for key in ("dt", "t_end", "save_every")})
+    return RunSettings.checked(
+        {key: getattr(scene.defaults, key, None) for key in ("method", "dt", "t_end", "save_every")}
+    )
 
 
 def with_picture_times(scene, settings: RunSettings):

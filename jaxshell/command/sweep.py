@@ -150,7 +150,7 @@ class _Cases:
 
     def __init__(self, options: argparse.Namespace, factors: set[str]):
         from jaxshell.files.imperfection import IMPERFECTION
-        from jaxshell.files.scene_file import read_content, scene_of
+        from jaxshell.files.scene_file import REFINE, read_content, scene_of
 
         self.options, self.factors = options, frozenset(factors)
         self.content = read_content(options.scene)
@@ -159,7 +159,8 @@ class _Cases:
         settings = settled(options, settings, scene)
         self.controlled, self.save_every = settings.step_tolerance is not None, settings.save_every
         # The modes of an imperfection are each member's own.
-        self.mesh = None if IMPERFECTION in self.content["mesh"] else scene.mesh
+        made_anew = IMPERFECTION in self.content["mesh"] or REFINE in self.content["mesh"]
+        self.mesh = None if made_anew else scene.mesh
         self.responses = [f"{label} {word}" for label, _, _ in scene.watch for word in ("min", "max", "end")]
 
     def check(self, plan) -> None:

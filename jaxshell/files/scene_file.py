@@ -7,6 +7,7 @@
                    element_sets = { name = [numbers] or { plane, box } for the elements' centroids };
                    node_sets = { name = [numbers] or { nearest, plane, box, boundary } };
                    side_sets = { name = [[node, node], ...] or { ... } for the boundary's edges between such nodes };
+                   refine, how often the whole scene is refined once it is read (docs/refinement.md);
                    imperfection: see `jaxshell.files.imperfection`
     [section]      thickness, young_modulus, poisson_ratio, density; kind = "isotropic" where it is not left out
     [materials.X], laminates, regions, [[thermal]], [[initial_strain]]: see `jaxshell.files.sections`
@@ -52,6 +53,7 @@ from jaxshell.model.history import History
 from jaxshell.model.loads import LOADS, InitialStrain, InitialStrains, Load, Thermal
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.mesh_file import is_file
+from jaxshell.model.refinement import refine
 from jaxshell.model.scene import Defaults, Scene
 from jaxshell.model.supports import ALL, Support, symmetry
 from jaxshell.numerics.checks import shown
@@ -60,6 +62,7 @@ from jaxshell.numerics.nearest import meant
 READING = ("quads", "second_order", "merge", "orient", "coincident")
 LOAD_KINDS = {load.kind: load for load in LOADS if not issubclass(load, InitialStrains)}
 _SYMMETRY = {f"symmetry {normal}": symmetry([0], normal).dofs for normal in "xyz"}
+REFINE = "refine"
 KNOWN = ("name", "units", "mesh", "materials", "section", "supports", "loads", "thermal", "initial_strain")
 KNOWN += (*ITEM_KINDS, "damping", "watch", "initial", "run")
 DIRECTIONS = ("axes", "normal")
@@ -117,6 +120,8 @@ def _scene(content: dict, path: Path, mesh: Mesh | None) -> tuple[Scene, RunSett
         **items,
     )
     given = top.table("mesh", optional=True)
+    if REFINE in given.content:
+        scene = given.call(refine, scene, given.get(REFINE))
     if IMPERFECTION in given.content:
         scene = given.call(dataclasses.replace, scene, mesh=imperfect_mesh(given, scene))
     if "damping" in content:
@@ -125,7 +130,7 @@ def _scene(content: dict, path: Path, mesh: Mesh | None) -> tuple[Scene, RunSett
 
 
 def _mesh(table: Table, folder: Path) -> Mesh:
-    made = {key: value for key, value in table.content.items() if key not in (*SETS, IMPERFECTION)}
+    made = {key: value for key, value in table.content.items() if key not in (*SETS, REFINE, IMPERFECTION)}
     mesh = _plain_mesh(Table(table.name, made), folder)
     given = {}
     for key, chosen in SETS.items():
@@ -156,7 +161,7 @@ SETS = {"node_sets": _set_of_nodes, "element_sets": chosen_elements, "side_sets"
 
 def _plain_mesh(table: Table, folder: Path) -> Mesh:
     if "file" in table.content:
-        table.only("file", *READING, *SETS, IMPERFECTION)
+        table.only("file", *READING, *SETS, REFINE, IMPERFECTION)
         file = folder / table.text("file")
         if not is_file(file):
             raise ValueError(f"[mesh] There is no file {shown(str(file))}.")
@@ -167,7 +172,7 @@ def _plain_mesh(table: Table, folder: Path) -> Mesh:
         raise ValueError(f"[mesh] generator must be one of {choices}, but it is {name!r}.{meant(name, GENERATORS)}")
     generator = GENERATORS[name]
     arguments = inspect.signature(generator).parameters
-    table.only("generator", *arguments, *SETS, IMPERFECTION)
+    table.only("generator", *arguments, *SETS, REFINE, IMPERFECTION)
     for argument in arguments.values():
         if argument.default is argument.empty:
             table.get(argument.name)

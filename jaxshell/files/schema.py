@@ -13,7 +13,7 @@ from jaxshell.files.imperfection import IMPERFECTION, KEYS
 from jaxshell.files.initial import MOTION
 from jaxshell.files.items import ITEM_KINDS, POINT
 from jaxshell.files.run_keys import ANALYSES, OF, RunSettings
-from jaxshell.files.scene_file import HOLD, LOAD_KINDS, READING, SETS, load_keys
+from jaxshell.files.scene_file import HOLD, LOAD_KINDS, READING, REFINE, SETS, load_keys
 from jaxshell.files.sections import MATERIAL_KINDS, SECTION_KINDS
 from jaxshell.model.damping import RayleighDamping
 from jaxshell.model.generators import GENERATORS
@@ -123,7 +123,11 @@ def schema() -> Schema:
         "loads": _list(_any(*map(_load, LOAD_KINDS.values()))),
         "thermal": _list(_arguments(Thermal)),
         "initial_strain": _list(_arguments(InitialStrain)),
-        **{key: _list(_any(*map(_item, kinds.values()))) for key, kinds in ITEM_KINDS.items() if kinds},
+        **{
+            key: _list(_any(*(_item(kind, len(kinds) > 1) for kind in kinds.values())))
+            for key, kinds in ITEM_KINDS.items()
+            if kinds
+        },
         "damping": _damping(),
         "watch": {"type": "object", "additionalProperties": _watch()},
         "initial": _any(_initial(), _list(_initial())),
@@ -156,6 +160,7 @@ def _mesh() -> Schema:
         "side_sets": _any(_PAIRS, of_sides),
     }
     sets = {key: {"type": "object", "additionalProperties": kinds[key]} for key in SETS}
+    sets[REFINE] = _said(COUNT, "how often every triangle is cut in four, the whole scene with it")
     sets[IMPERFECTION] = _any(_imperfection(), _list(_imperfection()))
     halves = {"enum": ["split", "error"]}
     reading = {"quads": halves, "second_order": halves, "merge": NUMBER, "orient": SWITCH}
@@ -228,8 +233,8 @@ def _load(load: Any) -> Schema:
     return _table(properties, ["kind", load.value, *(key for key, needed in more.items() if needed)])
 
 
-def _item(kind: Any) -> Schema:
-    """A connector, an obstacle or the like, whose keys are the arguments of its class."""
+def _item(kind: Any, one_of_several: bool) -> Schema:
+    """A connector, an obstacle or the like: the arguments of its class, and its kind where there are several."""
     found = _arguments(kind, kind={"const": kind.kind})
     of_nodes, of_sides = _any(TEXT, COUNT, _list(COUNT)), _table(_NODES | {"inner": _EDGES["inner"]})
     at_point = _table({POINT: ARRAYS}, [POINT])
@@ -244,7 +249,7 @@ def _item(kind: Any) -> Schema:
             found["properties"][name] = _said(TEXT, "by which it is watched")
         elif name not in _KNOWN:
             found["properties"][name] = _any(NUMBER, ARRAYS)
-    return found | {"required": ["kind", *found["required"]]}
+    return found | {"required": ["kind"] * one_of_several + found["required"]}
 
 
 def _damping() -> Schema:

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from jaxshell.model.mesh import Mesh, check_size, grid, structured_triangles
+from jaxshell.model.surface import CylindricalSurface, FlatSurface, SphericalSurface
 from jaxshell.numerics.checks import check_positive_number, is_concrete, shown, whole_array
 
 
@@ -13,7 +14,7 @@ def rectangle(length, width, divisions) -> Mesh:
     columns, rows = counts("rectangle", divisions, (1, 1))
     length, width = _positive(length=length, width=width)
     x, y = grid(np.linspace(0, length, columns + 1), np.linspace(0, width, rows + 1))
-    return Mesh(np.stack([x, y, 0 * x], 1), structured_triangles(columns, rows))
+    return Mesh(np.stack([x, y, 0 * x], 1), structured_triangles(columns, rows), surface=FlatSurface())
 
 
 def cylinder(radius, length, divisions, angle=360.0) -> Mesh:
@@ -30,7 +31,8 @@ def cylinder(radius, length, divisions, angle=360.0) -> Mesh:
     x, turn = grid(np.linspace(0, length, rows + 1), turns)
     nodes = np.stack([x, radius * np.cos(turn), radius * np.sin(turn)], 1)
     # ∂x × ∂turn points inwards.
-    return Mesh(nodes, structured_triangles(rows, around, periodic=closed)[:, [0, 2, 1]])
+    triangles = structured_triangles(rows, around, periodic=closed)[:, [0, 2, 1]]
+    return Mesh(nodes, triangles, surface=CylindricalSurface(radius))
 
 
 def spherical_cap(radius, half_angle, divisions) -> Mesh:
@@ -51,7 +53,8 @@ def spherical_cap(radius, half_angle, divisions) -> Mesh:
         across = np.where(np.abs(s) >= np.abs(t), t / s, s / t) * math.pi / 4
     azimuth = np.where(np.abs(s) >= np.abs(t), across + math.pi * (s < 0), math.pi / 2 - across + math.pi * (t < 0))
     azimuth = np.where(polar == 0, 0.0, azimuth)
-    return Mesh(_on_sphere(radius, polar, azimuth), structured_triangles(2 * count, 2 * count))
+    triangles = structured_triangles(2 * count, 2 * count)
+    return Mesh(_on_sphere(radius, polar, azimuth), triangles, surface=SphericalSurface(radius, chart="square"))
 
 
 def spherical_zone(radius, top, bottom, divisions) -> Mesh:
@@ -64,7 +67,8 @@ def spherical_zone(radius, top, bottom, divisions) -> Mesh:
     if not top < bottom < 180:
         raise ValueError(f"Angles must fulfil 0 < top < bottom < 180 degrees, but are top {top}, bottom {bottom}.")
     polar, azimuth = grid(np.radians(np.linspace(top, bottom, rows + 1)), 2 * math.pi * np.arange(around) / around)
-    return Mesh(_on_sphere(radius, polar, azimuth), structured_triangles(rows, around, periodic=True))
+    triangles = structured_triangles(rows, around, periodic=True)
+    return Mesh(_on_sphere(radius, polar, azimuth), triangles, surface=SphericalSurface(radius, chart="polar"))
 
 
 GENERATORS = {f.__name__: f for f in (rectangle, cylinder, spherical_cap, spherical_zone)}

@@ -15,10 +15,12 @@ from jaxshell.model.imperfection import moved
 from jaxshell.model.mesh_checks import check_coincident, check_connectivity, check_indices, check_shapes, check_sides
 from jaxshell.model.mesh_file import read_cells
 from jaxshell.model.sets import Sets
+from jaxshell.model.surface import TrueSurface
 from jaxshell.numerics.checks import (
     check_choice,
     check_count,
     check_finite,
+    check_kind,
     check_positive_number,
     check_shape,
     check_switch,
@@ -46,7 +48,7 @@ class _OfMeshOrArrays:
             return self.function
         if instance.points:
             raise ValueError("The mesh has points besides its triangles: mend it before with_points.")
-        sets = {name: getattr(instance, name) for name in ("node_sets", "element_sets", "side_sets")}
+        sets = {name: getattr(instance, name) for name in ("node_sets", "element_sets", "side_sets", "surface")}
         return lambda *arguments, **named: self.function(
             instance.nodes, instance.triangles, *arguments, **(sets | named)
         )
@@ -54,7 +56,7 @@ class _OfMeshOrArrays:
 
 def _merged(
     nodes, triangles, tolerance, *, orient: bool = False, coincident: str = "error", node_sets: Mapping | None = None,
-    element_sets: Mapping | None = None, side_sets: Mapping | None = None,
+    element_sets: Mapping | None = None, side_sets: Mapping | None = None, surface: TrueSurface | None = None,
 ) -> "Mesh":  # fmt: skip
     """The mesh with all nodes no further than `tolerance` [length] apart made one, at the place of the first.
 
@@ -74,6 +76,7 @@ def _merged(
         node_sets=_renumbered(node_sets, number),
         element_sets=element_sets,
         side_sets=_renumbered(side_sets, number),
+        surface=surface,
     )
 
 
@@ -85,7 +88,7 @@ def _renumbered(sets: Mapping, number: np.ndarray) -> dict[str, np.ndarray]:
 
 def _oriented(
     nodes, triangles, *, coincident: str = "error", node_sets: Mapping | None = None,
-    element_sets: Mapping | None = None, side_sets: Mapping | None = None,
+    element_sets: Mapping | None = None, side_sets: Mapping | None = None, surface: TrueSurface | None = None,
 ) -> "Mesh":  # fmt: skip
     """The mesh with triangles turned where neighbours disagree on the normal; each part goes by its first triangle.
 
@@ -99,6 +102,7 @@ def _oriented(
         node_sets=node_sets,
         element_sets=element_sets,
         side_sets=side_sets,
+        surface=surface,
     )
 
 
@@ -117,6 +121,8 @@ class Mesh(eqx.Module):
         side_sets: {name: edges (k, 2) by the nodes at their ends}, for what acts on edges.
         points: how many of the last nodes belong to no triangle: references of rigid bodies, anchors, ...; see
             `with_points`.
+        surface: the true surface that the nodes are on (`jaxshell.model.surface`), or None where it is not known. It
+            says where `refine` puts new nodes; generators give it. Its floats are differentiable.
 
     `Mesh.merged` joins coincident nodes and `Mesh.oriented` turns triangles, both from the same arrays.
 
@@ -131,6 +137,7 @@ class Mesh(eqx.Module):
     element_sets: Sets = eqx.field(static=True)
     side_sets: Sets = eqx.field(static=True)
     points: int = eqx.field(static=True)
+    surface: TrueSurface | None
 
     merged = _OfMeshOrArrays(_merged)
     oriented = _OfMeshOrArrays(_oriented)
@@ -145,6 +152,7 @@ class Mesh(eqx.Module):
         element_sets: Mapping | None = None,
         side_sets: Mapping | None = None,
         points: int = 0,
+        surface: TrueSurface | None = None,
     ):
         require_float64()
         self.nodes = float_array(nodes, "nodes")
@@ -158,6 +166,8 @@ class Mesh(eqx.Module):
         check_finite("nodes", self.nodes)
         check_count("points", points, least=0)
         self.points = int(points)
+        check_kind("surface", surface, TrueSurface | None, "a surface of jaxshell.model.surface or None")
+        self.surface = surface
         check_connectivity(self.triangles, self.n_nodes, self.points)
         self.node_sets = Sets("node", node_sets, self.n_nodes)
         self.element_sets = Sets("element", element_sets, self.n_elements)
@@ -202,7 +212,7 @@ class Mesh(eqx.Module):
         """
         given = {"node_sets": node_sets, "element_sets": element_sets, "side_sets": side_sets}
         merged = {name: {**getattr(self, name), **({} if new is None else new)} for name, new in given.items()}
-        return Mesh(self.nodes, self.connectivity, coincident="allow", points=self.points, **merged)
+        return self._again(**merged)
 
     def with_points(self, points: Mapping[str, Any]) -> "Mesh":
         """The mesh with nodes that belong to no triangle, {name: place (3,)}, each in a set of its name.
@@ -219,15 +229,20 @@ class Mesh(eqx.Module):
             places.append(float_array(place, f"point {name!r}"))
             check_shape(f"point {name!r}", places[-1], (3,))
         numbers = {name: [self.n_nodes + k] for k, name in enumerate(points)}
-        return Mesh(
-            jnp.concatenate([self.nodes, jnp.stack(places)]),
-            self.connectivity,
-            coincident="allow",
+        return self._again(
+            nodes=jnp.concatenate([self.nodes, jnp.stack(places)]),
             node_sets={**self.node_sets, **numbers},
-            element_sets=self.element_sets,
-            side_sets=self.side_sets,
             points=self.points + len(places),
         )
+
+    def on_surface(self, surface: TrueSurface | None) -> "Mesh":
+        """The mesh with another true surface, for `refine`; None forgets the one that it has. Its nodes stay."""
+        return self._again(surface=surface)
+
+    def _again(self, **changed) -> "Mesh":
+        """The mesh with some of what it is made of changed."""
+        kept = {name: getattr(self, name) for name in ("node_sets", "element_sets", "side_sets", "points", "surface")}
+        return Mesh(changed.pop("nodes", self.nodes), self.connectivity, coincident="allow", **(kept | changed))
 
     @classmethod
     def of_points(cls, points: Mapping[str, Any]) -> "Mesh":
@@ -244,12 +259,12 @@ class Mesh(eqx.Module):
             amplitude: [length] of the largest displacement, of a `RandomField` the standard deviation; of several
                 modes one for each. Negative ones move the other way.
 
-        Sets stay. Differentiable in nodes, mode and amplitude, but where two nodes share the largest displacement.
-        Raises ValueError for other shapes, NaN, a mode that moves nothing, and where triangles become slivers.
+        Sets stay; the true surface is forgotten. Differentiable in nodes, mode and amplitude, but where two nodes share
+        the largest displacement. Raises ValueError for other shapes, NaN, a mode that moves nothing, and where
+        triangles become slivers.
         """
         nodes = moved(self.nodes, self.triangles, mode, amplitude)
-        sets = {name: getattr(self, name) for name in ("node_sets", "element_sets", "side_sets")}
-        return Mesh(nodes, self.connectivity, coincident="allow", points=self.points, **sets)
+        return self._again(nodes=nodes, surface=None)
 
     def nodes_where(self, condition: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """Indices of the nodes whose coordinates fulfil `condition(x)`, x of shape (3, n).

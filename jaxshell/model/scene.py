@@ -21,7 +21,6 @@ from jaxshell.model.loads import Centrifugal, InitialStrains, Load
 from jaxshell.model.masses import Masses, PointMass
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.obstacles import Obstacle
-from jaxshell.model.patches import FOLD, smooth_labels
 from jaxshell.model.quantities import QUANTITIES
 from jaxshell.model.sections import AnySection, Regions, Section
 from jaxshell.model.sets import check_on_mesh
@@ -33,7 +32,6 @@ from jaxshell.numerics.checks import (
     check_number,
     check_positive_number,
     check_text,
-    is_concrete,
     shown,
 )
 from jaxshell.numerics.frozen import Frozen
@@ -55,6 +53,8 @@ class Defaults(NamedTuple):
     """"SI" puts units (s, m, J, ...) on the pictures' axes; empty leaves them plain."""
     axes: tuple[tuple[str, float, str], ...] = ()
     """(watch label, divisor, axis label) of watched quantities that pictures show as multiples of something."""
+    method: tuple[str, ...] | None = None
+    """Names of methods, such as ("exact",), where the scene is not usually run with the first of `methods`."""
 
 
 class Scene(eqx.Module):
@@ -96,8 +96,6 @@ class Scene(eqx.Module):
     masses: tuple[PointMass, ...]
     connectors: tuple[Connector, ...]
     obstacles: tuple[Obstacle, ...]
-    patches: Frozen | None = eqx.field(static=True, init=False)
-    """(m, 3) the smooth patch that each element's corner belongs to, where some are not flat; else None."""
 
     def __init__(
         self,
@@ -134,13 +132,13 @@ class Scene(eqx.Module):
         self.connectors = connectors
         self.obstacles = _placed("obstacle", _objects("obstacles", obstacles, Obstacle, "jaxshell.Plane"), mesh)
         self.watch = _watched(watch, mesh, {item.name for item in self.items})
-        self.patches = _patches(mesh, self.section)
 
     def __check_init__(self):
         n = self.mesh.n_nodes
         check_text("A scene's name", self.name)
         check_kind("initial", self.initial, Initial | None, "a jaxshell.Initial or None")
         _check_defaults(self.defaults)
+        self.section.check(self.mesh)
         check_kind("damping", self.damping, RayleighDamping | None, "a jaxshell.RayleighDamping or None")
         if self.damping is not None:
             self.damping.check(self.mesh)
@@ -388,20 +386,6 @@ def _watched(watch, mesh: Mesh, names: set[str | None]) -> tuple[tuple[str, int 
     return tuple(found)
 
 
-def _patches(mesh: Mesh, section: AnySection) -> Frozen | None:
-    """The smooth patches of a mesh with elements that are not flat. Raises ValueError while JAX traces its nodes."""
-    section.check(mesh)
-    if not section.shapes(mesh).any():
-        return None
-    if not is_concrete(mesh.nodes):
-        raise ValueError(
-            'A shape other than "flat" looks for the folds of the mesh in its nodes, which JAX is tracing here: make '
-            "the scene outside of what is transformed, and exchange scene.mesh.nodes by equinox.tree_at within it."
-        )
-    region = section.region_of(mesh) if isinstance(section, Regions) else np.zeros(mesh.n_elements, int)
-    return Frozen(smooth_labels(np.asarray(mesh.nodes), mesh.triangles, region, FOLD))
-
-
 def _only_one(what: str, name: str, chosen: Callable[[str], np.ndarray]) -> int:
     """The number in a set. Raises ValueError for a set that there is not, and for one that holds more."""
     try:
@@ -422,8 +406,8 @@ def _check_defaults(defaults) -> None:
             check_positive_number(name, getattr(defaults, name))
     check_count("save_every", defaults.save_every)
     check_choice("units", defaults.units, ("", "SI"))
-    for name in ("picture_times", "methods", "axes"):
-        if not isinstance(getattr(defaults, name), tuple):
+    for name in ("picture_times", "methods", "axes", "method"):
+        if not isinstance(getattr(defaults, name), tuple) and (name, defaults.method) != ("method", None):
             raise ValueError(f"defaults.{name} must be a tuple, but it is {shown(getattr(defaults, name))}.")
     for time in defaults.picture_times:
         check_number("picture_times", time)

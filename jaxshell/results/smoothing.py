@@ -17,11 +17,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.elements.strains import CORNERS_OF_MIDPOINTS
+from jaxshell.model.corner_normals import fans_of, smooth_edges
+from jaxshell.model.edges import Edges
 from jaxshell.model.materials.base import strain_rotation, stress_rotation
 from jaxshell.model.mesh import Mesh
-from jaxshell.model.patches import FOLD, smooth_labels
 from jaxshell.model.scene import Scene
-from jaxshell.model.sections import Regions
+from jaxshell.model.sections.regions import region_of_elements
 from jaxshell.numerics.checks import check_choice, check_kind, check_within, float_array, is_concrete
 from jaxshell.numerics.compiled import compiled
 from jaxshell.numerics.frozen import Frozen
@@ -37,7 +38,7 @@ class Patches(NamedTuple):
     """(m, 3) number of the smooth patch around its node that an element's corner belongs to."""
 
 
-def smooth_patches(scene: Scene | Mesh, angle: float = FOLD) -> Patches:
+def smooth_patches(scene: Scene | Mesh, angle: float = 30.0) -> Patches:
     """The smooth patches of a mesh, or of a scene, whose regions are not mixed.
 
     `angle` [degrees] is the most by which the normals of neighbours may differ. Raises ValueError for nodes that JAX is
@@ -50,12 +51,17 @@ def smooth_patches(scene: Scene | Mesh, angle: float = FOLD) -> Patches:
         raise ValueError(
             "Patches are found by the shape: give nodal(patches=smooth_patches(scene)) where it is traced."
         )
-    nodes, triangles = np.asarray(mesh.nodes), mesh.triangles
-    region = np.zeros(len(triangles), int)
-    if isinstance(scene, Scene) and isinstance(scene.section, Regions):
-        for number, elements in enumerate(scene.section.elements):
-            region[elements.array] = number
-    return Patches(Frozen(smooth_labels(nodes, triangles, region, angle)))
+    region = region_of_elements(scene.section, mesh) if isinstance(scene, Scene) else None
+    fans = _fans(mesh.nodes, mesh.connectivity, jnp.asarray(float(angle)), None if region is None else Frozen(region))
+    _, labels = np.unique(np.asarray(fans), return_inverse=True)
+    return Patches(Frozen(labels.reshape(-1, 3)))
+
+
+@compiled
+def _fans(nodes: Float[Array, "n 3"], triangles: Frozen, angle, region: Frozen | None):
+    edges = Edges(triangles.array)
+    facets = jax.vmap(local_frame)(nodes[triangles.array])[0][:, 2]
+    return fans_of(edges, smooth_edges(facets, edges, angle, None if region is None else region.array))
 
 
 def nodal(
@@ -64,7 +70,7 @@ def nodal(
     *,
     at: str = "points",
     components: str | None = None,
-    angle: float = FOLD,
+    angle: float = 30.0,
     patches: Patches | None = None,
 ) -> Float[Array, "m 3 *c"]:
     """Smoothed values at the corners of every element: (m, 3, ...), equal at the corners of a smooth patch.

@@ -23,11 +23,12 @@ from jaxshell.model.scene import Defaults, Scene
 from jaxshell.model.sections import SECTIONS, Cylindrical, Ply
 from jaxshell.model.sets import Sets
 from jaxshell.model.supports import Support
+from jaxshell.model.surface import SURFACES
 from jaxshell.numerics.frozen import Frozen
 from jaxshell.results.checked import has, read_text, write_array, write_attribute, write_text
 
 _PARTS = (Mesh, PointMass, Ply, Cylindrical, Support, History, Initial, RayleighDamping, Nodes, Point, Space)
-_KINDS = {kind.__name__: kind for kind in (*_PARTS, *SECTIONS, *MATERIALS, *LOADS, *CONNECTORS, *OBSTACLES)}
+_KINDS = {kind.__name__: kind for kind in (*_PARTS, *SECTIONS, *MATERIALS, *LOADS, *CONNECTORS, *OBSTACLES, *SURFACES)}
 _ITEMS = ("supports", "loads", "masses", "connectors", "obstacles")
 """What a scene has several of. Of the last three nothing is written where there are none: older files have none."""
 _LIST, _SETS = "list", "sets"

@@ -4,6 +4,7 @@ import inspect
 from collections.abc import Callable
 
 from jaxshell.model.scene import Scene
+from jaxshell.scenes.driven import dropped_tray, shaken_plate, tape_spring
 from jaxshell.scenes.dynamic import flying_cylinder, l_shaped_plate, snapping_panel, spinning_plate
 from jaxshell.scenes.paper import free_plate, opened_cap, spherical_cap
 from jaxshell.scenes.static import (
@@ -24,6 +25,7 @@ PAPER = {"cap": spherical_cap, "plate": free_plate, "opened_cap": opened_cap}
 BY_NAME: dict[str, Callable[..., Scene]] = PAPER | {
     make.__name__: make for make in (flying_cylinder, l_shaped_plate, snapping_panel, spinning_plate)
 }
+BY_NAME |= {make.__name__: make for make in (dropped_tray, tape_spring, shaken_plate)}
 """The scenes that the command line runs by name: the paper's, and the library's others that move."""
 
 
@@ -39,6 +41,7 @@ __all__ = [
     "cantilever_end_shear",
     "cylinder_pull_out",
     "default_divisions",
+    "dropped_tray",
     "flying_cylinder",
     "free_plate",
     "hemisphere",
@@ -47,9 +50,11 @@ __all__ = [
     "opened_cap",
     "pinched_cylinder",
     "pinched_semi_cylinder",
+    "shaken_plate",
     "slit_annular_plate",
     "snapping_panel",
     "spherical_cap",
     "spinning_plate",
+    "tape_spring",
     "twisted_beam",
 ]

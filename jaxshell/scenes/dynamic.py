@@ -13,6 +13,7 @@ from jaxshell.model.mesh import Mesh, chain, grid, structured_triangles
 from jaxshell.model.scene import Defaults, Scene
 from jaxshell.model.sections import Section
 from jaxshell.model.supports import pinned
+from jaxshell.model.surface import CylindricalSurface
 from jaxshell.numerics.checks import check_number
 
 
@@ -33,7 +34,8 @@ def snapping_panel(divisions: tuple[int, int] = (8, 16), force: float = 5e7) -> 
         raise ValueError(f"divisions must be even, so that there is a node at the centre, but are {divisions}.")
     radius, length, half_angle = 5.0, 5.0, np.pi / 6
     x, turn = grid(np.linspace(0, length, along + 1), np.linspace(-half_angle, half_angle, around + 1))
-    mesh = Mesh(np.stack([x, radius * np.sin(turn), radius * np.cos(turn)], 1), structured_triangles(along, around))
+    nodes = np.stack([x, radius * np.sin(turn), radius * np.cos(turn)], 1)
+    mesh = Mesh(nodes, structured_triangles(along, around), surface=CylindricalSurface(radius))
     centre = mesh.nearest_node([length / 2, 0, radius])
     crown, edges = (np.flatnonzero(np.abs(np.abs(turn) - angle) < 1e-9) for angle in (0.0, half_angle))
     return Scene(

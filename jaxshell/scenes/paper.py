@@ -11,6 +11,7 @@ from jaxshell.model.mesh import Mesh, chain, grid, structured_triangles
 from jaxshell.model.scene import Defaults, Scene
 from jaxshell.model.sections import Section
 from jaxshell.model.supports import Support, clamped, symmetry
+from jaxshell.model.surface import FlatSurface, SphericalSurface
 from jaxshell.numerics.checks import check_number
 
 
@@ -30,7 +31,8 @@ def spherical_cap(divisions: int = 10, force: float = 444.8, thickness: float = 
         azimuth = np.where(s >= t, 0.25 * np.pi * t / s, 0.5 * np.pi - 0.25 * np.pi * s / t)
     azimuth = np.where(polar == 0, 0.0, azimuth)
     nodes = radius * np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], 1)
-    mesh = Mesh(nodes, structured_triangles(divisions, divisions))
+    surface = SphericalSurface(radius, chart="square")
+    mesh = Mesh(nodes, structured_triangles(divisions, divisions), surface=surface)
     supports = (
         clamped(np.flatnonzero(np.maximum(s, t) == 1)),
         symmetry(np.flatnonzero(t == 0), "y"),
@@ -70,7 +72,8 @@ def free_plate(divisions: tuple[int, int] = (15, 3), loads: Sequence[Load] | Non
     columns, rows = counts("free_plate", divisions, (1, 1))
     length, width = 0.3, 0.06
     x, y = grid(*[np.linspace(0, 1, c + 1) for c in (columns, rows)])
-    mesh = Mesh(np.stack([length * x, width * y, 0 * x], 1), structured_triangles(columns, rows))
+    nodes = np.stack([length * x, width * y, 0 * x], 1)
+    mesh = Mesh(nodes, structured_triangles(columns, rows), surface=FlatSurface())
     if loads is None:
         pulse = History([0.0, 0.002, 0.004], [0.0, 4e4, 0.0])
         left, right = np.flatnonzero(x == 0), np.flatnonzero(x == 1)
@@ -116,7 +119,7 @@ def opened_cap(divisions: tuple[int, int] = (48, 10), force: float = 1.0, thickn
     # Rows climb towards the apex, so the outward normal asks for the second direction to run first.
     triangles = structured_triangles(meridian, around, periodic=True)[:, [0, 2, 1]]
     return Scene(
-        Mesh(nodes, triangles),
+        Mesh(nodes, triangles, surface=SphericalSurface(radius, chart="polar")),
         Section(thickness, 1000.0, 0.3, 0.1),
         (Support(np.flatnonzero(i == 0), "uz"),),
         (NodalForce(ring, [0.0, 0.0, -force * 48 / around], History.ramp(1.0)),),

@@ -15,6 +15,7 @@ from jaxshell.model.mesh import Mesh, chain, grid, structured_triangles
 from jaxshell.model.scene import Scene
 from jaxshell.model.sections import Section
 from jaxshell.model.supports import Support, clamped, pinned, symmetry
+from jaxshell.model.surface import CylindricalSurface, FlatSurface, SphericalSurface, TwistedSurface
 from jaxshell.numerics.checks import check_number
 
 _DENSITY = 1.0
@@ -72,7 +73,9 @@ def slit_annular_plate(divisions: tuple[int, int] = (10, 80), force: float = 0.8
     i, j = grid(np.arange(radial + 1), np.arange(around + 1))
     r, angle = 6.0 + 4.0 * i / radial, 2 * np.pi * j / around
     nodes = np.stack([r * np.cos(angle), r * np.sin(angle), 0 * r], 1)
-    mesh = Mesh(nodes, structured_triangles(radial, around), coincident="allow")  # the lips of the slit
+    triangles = structured_triangles(radial, around)
+    # The lips of the slit coincide.
+    mesh = Mesh(nodes, triangles, coincident="allow", surface=FlatSurface(chart="polar"))
     lip = np.flatnonzero(j == 0)
     return Scene(
         mesh,
@@ -164,7 +167,8 @@ def hinged_roof(divisions: tuple[int, int] = (16, 16), thickness: float = 12.7, 
     radius, half, angle = 2540.0, 254.0, 0.1
     along, around = generators.counts("hinged_roof", divisions, (1, 1))
     x, turn = grid(np.linspace(0, half, along + 1), np.linspace(0, angle, around + 1))
-    mesh = Mesh(np.stack([x, radius * np.sin(turn), radius * np.cos(turn)], 1), structured_triangles(along, around))
+    nodes = np.stack([x, radius * np.sin(turn), radius * np.cos(turn)], 1)
+    mesh = Mesh(nodes, structured_triangles(along, around), surface=CylindricalSurface(radius))
     return Scene(
         mesh,
         Section(thickness, 3102.75, 0.3, _DENSITY),
@@ -193,7 +197,8 @@ def hemisphere(divisions: tuple[int, int] = (16, 16), force: float = 100.0) -> S
     polar, azimuth = np.radians(90.0 - 72.0 * i / rows), 0.5 * np.pi * j / around
     nodes = radius * np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], 1)
     # Rows climb towards the hole, so the outward normal asks for the second direction to run first.
-    mesh = Mesh(nodes, structured_triangles(rows, around)[:, [0, 2, 1]])
+    triangles = structured_triangles(rows, around)[:, [0, 2, 1]]
+    mesh = Mesh(nodes, triangles, surface=SphericalSurface(radius, chart="polar"))
     return Scene(
         mesh,
         Section(0.04, 6.825e7, 0.3, _DENSITY),
@@ -223,7 +228,8 @@ def twisted_beam(divisions: tuple[int, int] = (24, 4), load: str = "in-plane") -
     flat = generators.rectangle(length, width, divisions)
     x, across = np.asarray(flat.nodes)[:, 0], np.asarray(flat.nodes)[:, 1] - width / 2
     turn = 0.5 * np.pi * x / length
-    mesh = Mesh(np.stack([x, across * np.cos(turn), across * np.sin(turn)], 1), flat.triangles)
+    nodes = np.stack([x, across * np.cos(turn), across * np.sin(turn)], 1)
+    mesh = Mesh(nodes, flat.triangles, surface=TwistedSurface(0.5 * np.pi / length))
     direction, component = ([0.0, 0.0, 1.0], "uz") if load == "in-plane" else ([0.0, 1.0, 0.0], "uy")
     return Scene(
         mesh,

@@ -100,10 +100,6 @@ class Regions(AnySection):
     def shapes(self, mesh: Mesh | Patch) -> np.ndarray:
         return np.concatenate([section.shapes(patch) for section, patch in self._parts(mesh)])[self._order(mesh)]
 
-    def region_of(self, mesh: Mesh) -> np.ndarray:
-        """(m,) number of the region of every element."""
-        return np.repeat(np.arange(len(self.elements)), [len(e.array) for e in self.elements])[self._order(mesh)]
-
     def has_first_moment(self, mesh: Mesh | Patch) -> bool:
         return any(section.has_first_moment(patch) for section, patch in self._parts(mesh))
 
@@ -140,6 +136,16 @@ class Regions(AnySection):
                 f"Element {int(np.argmax(owner < 0))} (and {int((owner < 0).sum()) - 1} others) belongs to no section."
             )
         return np.argsort(np.concatenate([e.array for e in self.elements]))
+
+
+def region_of_elements(section: AnySection, mesh: Mesh | Patch) -> np.ndarray | None:
+    """(m,) the number of the region that every element is in; None of a section that has none."""
+    if not isinstance(section, Regions):
+        return None
+    region = np.zeros(mesh.n_elements, np.int64)
+    for number, elements in enumerate(section.elements):
+        region[elements.array] = number
+    return region
 
 
 def _with_zeros(resultants: Resultants, name: str, shape: tuple[int, ...]) -> Resultants:
