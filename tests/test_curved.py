@@ -222,8 +222,8 @@ def test_the_opened_cap_is_nearer_its_limit_on_the_same_mesh():
     limits = {0.5: -0.512, 1.0: -2.540}  # docs/accuracy.md
     scene = js.scenes.opened_cap((48, 10))
     curved = dataclasses.replace(scene, section=js.Section(0.4, 1000.0, 0.3, 0.1, shape="curved"))
-    for scene, inertia, bound in ((scene, "linear", 0.035), (curved, "cubic", 0.01)):
-        run = js.simulate(scene, js.EnergyMomentum(inertia=inertia), dt=0.01, t_end=1.0)
+    for each, inertia, bound in ((scene, "linear", 0.035), (curved, "cubic", 0.01)):
+        run = js.simulate(each, js.EnergyMomentum(inertia=inertia), dt=0.01, t_end=1.0)
         errors = [abs(float(run.watched["A"][round(t / 0.01)]) / a - 1) for t, a in limits.items()]
         assert max(errors) < bound
         assert min(errors) > (0.01 if inertia == "linear" else 0.0)
