@@ -107,9 +107,9 @@ def openings(solution) -> dict[str, float]:
     return {joint: max(float(np.abs(gap).max()) for gap in gaps) for joint, gaps in found.items()}
 
 
-def run(factor: int, steps: int = STEPS, **of) -> js.Solution:
+def run(factor: int, steps: int, **of) -> js.Solution:
     dt = factor * DT
-    return js.simulate(scene(**of), js.EnergyMomentum(), dt=dt, t_end=steps * dt, newton=js.Newton(tolerance=1e-13))
+    return js.simulate(scene(**of), js.EnergyMomentum(), dt=dt, t_end=steps * dt, newton=js.Newton(tolerance=1e-14))
 
 
 def left(solution) -> float:
@@ -124,7 +124,7 @@ def check(solution) -> None:
     print(f"energy {left(solution):.1e}; joints " + ", ".join(f"{k} {v:.1e}" for k, v in opened.items()))
     assert left(solution) < 1e-12 and max(opened.values()) < 1e-12
     energy, watched = solution.energy, solution.watched
-    assert energy.dissipated[-1] > 0.05 * energy.total[0]
+    assert energy.dissipated[-1] > 0.01 * energy.total[0]
     assert jnp.max(watched["tension"]) > 0.0 and jnp.min(watched["tension"]) == 0.0
     assert jnp.max(jnp.abs(watched["opening"])) > 0.4
 
@@ -133,9 +133,12 @@ def test_all_kinds_are_in_the_scene():
     assert {type(item) for item in scene().connectors} == set(CONNECTORS)
 
 
-@pytest.mark.parametrize("factor", [1, 4])
-def test_in_free_flight(factor):
-    solution = run(factor)
+@pytest.mark.parametrize(
+    ("factor", "steps"),
+    [(4, 2000), *(pytest.param(k, STEPS, marks=pytest.mark.evidence) for k in (1, 4))],
+)
+def test_in_free_flight(factor, steps):
+    solution = run(factor, steps)
     check(solution)
     momenta = solution.momentum.linear, solution.momentum.angular
     changes = [float(jnp.max(jnp.abs(p - p[0])) / jnp.linalg.norm(p[0])) for p in momenta]
@@ -143,9 +146,9 @@ def test_in_free_flight(factor):
     assert max(changes) < 1e-12 and jnp.max(solution.watched["depth"]) == 0.0
 
 
-@pytest.mark.parametrize("factor", [1, 4])
+@pytest.mark.parametrize("factor", [pytest.param(1, marks=pytest.mark.evidence), 4])
 def test_on_springs_over_a_floor(factor):
-    solution = run(factor, floor=-0.05, gravity=50.0, ground=30.0)
+    solution = run(factor, STEPS, floor=-0.05, gravity=50.0, ground=30.0)
     check(solution)
     touching = np.asarray(solution.watched["depth"]) > 0
     assert np.sum(np.diff(touching.astype(int)) == 1) > 5
