@@ -2,7 +2,8 @@
 
 Two plates of two triangles each, and points: a bead that slides along the first plate, a bob on a bar and a cable, a
 pod on the middle of an edge, a twin tied to a corner, a grip at the mean of the first plate, and the hub that the far
-edge of the second is rigid with.
+edge of the second is rigid with. The plates are soft: what is left of the energy is the round-off of places times the
+membrane's forces, a random walk that ten times the modulus makes three times as wide.
 """
 
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ from jaxshell.model.connectors import CONNECTORS
 pytestmark = [pytest.mark.slow, pytest.mark.optimised]
 
 DT, STEPS = 2e-5, 10_000
-PANEL = js.Section(thickness=2e-3, young_modulus=70e9, poisson_ratio=0.3, density=2700.0)
+PANEL = js.Section(thickness=2e-3, young_modulus=7e9, poisson_ratio=0.3, density=2700.0)
 Y = np.array([0.0, 1.0, 0.0])
 POINTS = {"bead": (0.0, 0.1, 0.0), "bob": (0.0, 0.0, 0.1), "pod": (0.0, 0.05, 0.0), "twin": (0.2, 0.1, 0.0)}
 GRIP = (0.1, 0.05, 0.05)
@@ -61,7 +62,7 @@ def scene(floor=FAR, gravity=0.0, ground=0.0) -> js.Scene:
     ]
     bob = int(mesh().node_sets["bob"][0])
     plane = js.Plane(
-        [0.0, 0.0, floor], [0.0, 0.0, 1.0], nodes=[*range(8), bob], stiffness=1.5e10, area=1e-3, offset=1e-3,
+        [0.0, 0.0, floor], [0.0, 0.0, 1.0], nodes=[*range(8), bob], stiffness=5e8, area=1e-3, offset=1e-3,
         friction=0.2, slip=0.01, name="floor",
     )  # fmt: skip
     given = {"masses": masses, "connectors": connectors, "obstacles": [plane], "loads": [js.Gravity((0, 0, -gravity))]}
