@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -154,6 +155,13 @@ def problems(text):
 def test_the_schema_in_the_docs_is_the_one_that_the_code_has():
     assert (ROOT / "docs" / "scene.schema.json").read_text(encoding="utf-8") == schema_text()
     jsonschema.Draft7Validator.check_schema(json.loads(schema_text()))
+
+
+def test_what_the_schema_shares_is_there_and_is_used():
+    definitions, text = schema()["definitions"], schema_text()
+    used = set(re.findall(r'"\$ref": "#/definitions/(\w+)"', text))
+    assert used == set(definitions)
+    assert len(text) < 100_000  # of everything written out where it stands it is 250 000
 
 
 def test_every_scene_file_of_the_repository_fits_the_schema():

@@ -270,5 +270,60 @@ def test_a_shell_that_starts_inside_is_refused_by_node_and_depth():
     scene(js.Plane([0, 0, -1], [0, 0, 1], offset=0.001), general)
 
 
+def ball(points=None, **touching) -> js.Scene:
+    """A mass of 2 without a shell, thrown down at the floor from where its skin is 0.01 above it."""
+    mesh = js.Mesh.of_points({"ball": (0.0, 0.0, 0.06)} if points is None else points)
+    velocities = np.zeros((mesh.n_nodes, 3))
+    velocities[0] = [0.6, 0.0, -2.0]
+    return js.Scene(
+        mesh,
+        None,
+        initial=js.Initial(velocities),
+        masses=[js.PointMass("ball", 2.0)],
+        obstacles=[js.Plane([0, 0, 0], [0, 0, 1], name="floor", **touching)],
+        watch={"depth": ("floor", "penetration"), "height": ("ball", "uz")},
+    )
+
+
+OF_BALL = {"nodes": "ball", "area": 1e-2, "stiffness": 5e6, "offset": 0.05, "friction": 0.1, "slip": 1e-4}
+
+
+def test_a_mass_without_a_shell_bounces():
+    """As on a spring k A, with √(kA/m) = 158 /s: in by v √(m/kA), out as fast; friction takes μ of that impulse."""
+    newton = js.Newton(tolerance=1e-12, reuse=False)
+    thrown = js.simulate(ball(**OF_BALL), js.EnergyMomentum(), dt=1e-4, t_end=0.04, newton=newton)
+    np.testing.assert_allclose(jnp.max(thrown.watched["depth"]), 2.0 / np.sqrt(5e4 / 2.0), rtol=1e-3)
+    np.testing.assert_allclose(thrown.momentum.linear[-1], [1.2 - 0.1 * 8.0, 0.0, 4.0], rtol=1e-6)
+    assert left(thrown) < 1e-12 and thrown.energy.dissipated[-1] > 0
+    found = js.penetration(thrown)[0]
+    assert found.thickness[0] == 0.1 and found.node[found.worst] == 0
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: ball(), "no elements, whose nodes touch it where none are named: give its nodes"),
+        (lambda: ball(nodes="ball", offset=0.05), "node 0 belongs to no element.*give area, stiffness"),
+        (lambda: ball(**(OF_BALL | {"slip": None})), "give slip"),
+        (lambda: ball(**(OF_BALL | {"offset": 0.07})), r"starts inside this plane: node 0 by 0\.01"),
+        (lambda: js.Scene(MESH, SECTION, obstacles=[js.Plane([0, 0, -1], [0, 0, 1], area=1.0)]), "area is of points"),
+    ],
+)
+def test_points_that_touch_say_how(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()
+
+
+def test_a_mass_beside_the_shell_does_not_pass_through_unasked():
+    mesh = MESH.with_points({"bob": (0.1, 0.05, 0.1)})
+    masses, floor, where = [js.PointMass("bob", 1.0)], js.Plane([0, 0, -1], [0, 0, 1]), np.arange(6)
+    with pytest.raises(
+        ValueError, match=r"obstacle 0: node 6 has a mass and hangs on no element.*pass through this plane"
+    ):
+        js.Scene(mesh, SECTION, masses=masses, obstacles=[floor])
+    js.Scene(mesh, SECTION, masses=masses, obstacles=[js.Plane([0, 0, -1], [0, 0, 1], nodes=where)])
+    js.Scene(mesh, SECTION, masses=masses, connectors=[js.RigidBody([5, 6])], obstacles=[floor])
+
+
 def test_all_kinds_are_listed():
     assert {type(obstacle) for obstacle in KINDS.values()} == set(OBSTACLES)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxshell as js
 from jaxshell.model import generators
+from jaxshell.model.contribution import Place, Surface
 
 PANEL = js.Section(thickness=2e-3, young_modulus=70e9, poisson_ratio=0.3, density=2700.0)
 
@@ -97,6 +98,37 @@ def test_other_methods_hold_them_and_agree_with_second_order(method):
         assert openings(solution) < 1e-10
         errors.append(float(jnp.max(jnp.abs(solution.displacements[-1] - fine))))
     assert errors[1] < 0.35 * errors[0]
+
+
+def test_conditions_on_rotations_stay_where_all_turn_at_the_mean_of_a_step_too():
+    """There matrices are no rotations, and conditions are not zero: one that turned would take angular momentum."""
+    mesh, n = panels(2)
+    mesh = mesh.with_points({"grip": (0.1, 0.05, 0.02), "pod": (0.0, 0.04, 0.0)})
+    axis = (0.3, 1.0, -0.2)
+    joints = [
+        (js.Hinge(2, n, axis), (1,)), (js.Slider(0, n + 2, axis), (0, 1)), (js.RigidBar(0, n + 2), (0,)),
+        (js.Tie(2, n, ("rx", "ry", "rz")), (0,)), (js.EdgeTie("pod", [[0, 1]]), (1,)),
+        (js.Distributed(np.arange(n), 2 * n), (0,)),
+    ]  # fmt: skip
+    rng, turn = np.random.default_rng(0), Rotation.from_rotvec([0.4, -0.9, 1.3]).as_matrix()
+    x = mesh.nodes + 0.05 * rng.normal(size=mesh.nodes.shape)
+    R = sum(Rotation.from_rotvec(rng.normal(size=(mesh.n_nodes, 3))).as_matrix() for _ in range(2)) / 2
+    none = jnp.zeros(0)
+    surface = Surface(mesh.nodes, mesh.triangles, none, none, jnp.zeros((0, 3)), jnp.array(0.4))
+    parts = [joint.placed(mesh, 0)[0].parts()[k] for joint, which in joints for k in which]
+
+    @jax.jit
+    def conditions(x, R):
+        found = []
+        for part in parts:
+            nodes, data = part.groups(mesh.triangles).array[0], jax.tree.map(lambda a: a[0], part.data(surface))
+            found.append(part.conditions(data, Place(x[nodes], R[nodes], jnp.zeros(()))))
+        return (*found[:-1], found[-1][3:])  # the first three are of places, which stay zero at the mean
+
+    before, after = conditions(x, R), conditions((x + 0.7) @ turn.T, turn @ R)
+    for one, other in zip(before, after, strict=True):
+        assert jnp.max(jnp.abs(one)) > 1e-3
+        np.testing.assert_allclose(other, one, atol=1e-14)
 
 
 def test_a_hinge_carries_no_moment():

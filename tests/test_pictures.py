@@ -2,6 +2,8 @@
 
 import dataclasses
 import importlib.util
+import subprocess
+import sys
 
 import equinox as eqx
 import jax
@@ -23,6 +25,7 @@ from jaxshell.model.scene import Defaults, Scene  # noqa: E402
 from jaxshell.model.sections import Section  # noqa: E402
 from jaxshell.model.supports import Support, clamped, pinned, symmetry  # noqa: E402
 from jaxshell.plotting import animate, figures, offscreen, plot, rendering, scene_figure, view, window  # noqa: E402
+from jaxshell.plotting.colouring import colouring  # noqa: E402
 from jaxshell.plotting.movie import _pace  # noqa: E402
 from jaxshell.plotting.panels import frame, place_labels, triad  # noqa: E402
 from jaxshell.plotting.projection import chosen_view, view_from, window_of  # noqa: E402
@@ -306,18 +309,80 @@ def test_the_window_needs_pyvista_and_says_so(run, monkeypatch):
 
 
 @with_vtk
-def test_the_slider_shows_other_times(run):
+def test_the_slider_of_the_window_shows_other_times(run):
     import pyvista
 
     plotter = pyvista.Plotter(off_screen=True, shape=(1, 2), window_size=(200, 150))
     stage = window.staged({"a": run, "b": run}, "displacement", plotter)
+    window._add_slider(stage)
     try:
-        first = np.array(stage.plotter.screenshot(return_img=True)).astype(int)
-        stage.show(1.0)
-        last = np.array(stage.plotter.screenshot(return_img=True)).astype(int)
+        (slider,) = getattr(plotter, "widgets", plotter).slider_widgets  # elsewhere before PyVista 0.49
+        ends = slider.GetRepresentation().GetMinimumValue(), slider.GetRepresentation().GetMaximumValue()
+        np.testing.assert_allclose(ends, np.asarray(run.frame_times)[[0, -1]] / stage.clock.divisor, rtol=1e-6)
+        first = np.array(plotter.screenshot(return_img=True)).astype(int)
+        slider.GetRepresentation().SetValue(ends[1])
+        slider.InvokeEvent("InteractionEvent")
+        last = np.array(plotter.screenshot(return_img=True)).astype(int)
+        texts = [renderer.actors["title"].input for renderer in plotter.renderers]
     finally:
-        stage.plotter.close()
-    assert (np.abs(first - last).max(axis=2) > 20).mean() > 0.005
+        plotter.close()
+    changed = np.abs(first - last).max(axis=2)[:120] > 20  # above the slider
+    assert changed[:, :100].mean() > 0.005 and changed[:, 100:].mean() > 0.005
+    assert texts == ["shelf, a\nDisplacement in mm", "shelf, b\nDisplacement in mm"]
+
+
+PAGE = """
+import sys
+import jax
+jax.config.update("jax_enable_x64", True)
+import numpy as np
+import jaxshell as js
+from jaxshell.plotting import window
+
+run = js.Solution.load(sys.argv[1])
+shown = js.plotting.view({"a": run, "b": run}, "sxx bottom", notebook=True)
+viewer = shown.viewer
+state, plotter = viewer.server.state, viewer.plotter
+(name,) = [name for name in state.to_dict() if name.startswith("jaxshell_time")]
+shapes = lambda: [np.array(r.actors[next(k for k in r.actors if k.startswith("PolyData"))].mapper.dataset.points) for r in plotter.renderers]
+first = shapes()
+end = float(run.frame_times[-1])
+state[name] = end / window._clock({"a": run}).divisor
+state.flush()
+last = shapes()
+assert all(np.abs(one - other).max() > 1e-3 for one, other in zip(first, last)), (first, last)
+assert "<iframe" in shown.value and state[viewer.EDGES] is True
+"""
+
+
+@pytest.mark.slow
+@with_vtk
+@pytest.mark.skipif(importlib.util.find_spec("trame") is None, reason="needs pyvista[jupyter]")
+def test_a_page_of_a_notebook_has_a_slider_that_moves_the_shapes(run, tmp_path):
+    """In a process of its own: PyVista lets event loops run within each other, for good."""
+    run.save(tmp_path / "run.h5")
+    command = [sys.executable, "-c", PAGE, str(tmp_path / "run.h5")]
+    page = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert page.returncode == 0, page.stderr
+
+
+@pytest.mark.parametrize(
+    ("label", "expected"),
+    [
+        (r"$\sigma_{xx}$, bottom in MPa", "Stress xx, bottom in MPa"),
+        (r"$\tau_{xy}$, ply 0", "Shear stress xy, ply 0"),
+        (r"$M_{xx}$ (material axes)", "Mxx (material axes)"),
+        (r"a\$b", "a$b"),
+    ],
+)
+def test_what_vtk_writes_has_no_formulas(label, expected):
+    assert window.spoken(label) == expected
+
+
+def test_a_stress_that_is_never_negative_has_no_scale_of_two_signs(run):
+    colours = colouring([run], [list(range(len(run.frame_times)))], "von mises top").colours
+    low, high = colours.get_clim()
+    assert 0.0 <= low < high and colours.get_cmap().name != "coolwarm"
 
 
 @with_vtk

@@ -15,6 +15,7 @@ class Acting(eqx.Module):
 
     contribution: Contribution
     data: Any
+    """Of a constraint with the unit of its multipliers: `Constraint.balanced`."""
     nodes: Int[Array, "k c"]
     entries: Int[Array, " e"] | None
     """Of its matrices, entry by entry: its place in the sparse matrix; None where there is none."""

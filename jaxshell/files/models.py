@@ -73,9 +73,9 @@ def draft_of(path, *, partial: bool = False, second_order: str = "error") -> Dra
 def write_scene_file(draft: Draft, path, *, overwrite: bool = False) -> list[Path]:
     """Write a draft as a scene file; returns the files written.
 
-    The scene names the model file as its mesh where `Mesh.read` finds the same nodes, triangles and sets in it, and
-    else a file beside the scene, NAME_mesh.inp. Raises ValueError for a name that does not end in .toml, and for files
-    that exist, unless `overwrite`.
+    The scene names the model file as its mesh where `Mesh.read` finds the same nodes, triangles and sets in it, without
+    a warning, and else a file beside the scene, NAME_mesh.inp. Raises ValueError for a name that does not end in .toml,
+    and for files that exist, unless `overwrite`.
     """
     path = Path(path)
     if path.suffix != ".toml":
@@ -98,11 +98,12 @@ def write_scene_file(draft: Draft, path, *, overwrite: bool = False) -> list[Pat
 
 
 def _reads_alike(path: Path, draft: Draft) -> bool:
-    """Whether `Mesh.read` has the draft's mesh, with all its sets, of the file."""
+    """Whether `Mesh.read` has the draft's mesh, with all its sets, of the file, and nothing to warn of: every run of
+    the scene would warn of masses, say, which are no cells of the mesh but are in the scene."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return _same(Mesh.read(path, **draft.reading), draft.mesh)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            return _same(Mesh.read(path, **draft.reading), draft.mesh) and not caught
     except ValueError:
         return False
 

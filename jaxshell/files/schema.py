@@ -112,7 +112,7 @@ _OF_LOADS: dict[str, Schema] = {
 
 
 def schema() -> Schema:
-    """The schema, as a table."""
+    """The schema, as a table; what several tables have stands once, under "definitions"."""
     top = {
         "name": _said(TEXT, "for files and pictures; default: the file's name"),
         "units": _said({"enum": ["", "SI"]}, "SI puts units on the pictures' axes"),
@@ -134,7 +134,38 @@ def schema() -> Schema:
         "run": _run(),
     }
     head = {"$schema": "http://json-schema.org/draft-07/schema#", "title": "A scene of jaxshell"}
-    return head | _table(top, ["mesh", "section"])
+    shared = _shared()
+    definitions = {name: _referring(part, shared, whole=False) for name, part in shared.items()}
+    return head | _referring(_table(top, ["mesh", "section"]), shared) | {"definitions": definitions}
+
+
+def _shared() -> dict[str, Schema]:
+    """What stands in several places, by name."""
+    return {
+        "imperfection": _any(_imperfection(), _list(_imperfection())),
+        **{key: _sets(key) for key in SETS},
+        "elements": _ELEMENTS,
+        "history": _HISTORY,
+        "direction": _DIRECTION,
+        "place_of_nodes": _table(_NODES),
+        **{f"{key}_of_nodes": found for key, found in _NODES.items()},
+        "numbers_of_any_depth": _any(NUMBER, ARRAYS),
+        "one_number_or_a_list": _ONE_OR_EACH,
+        "vector": VECTOR,
+    }
+
+
+def _referring(part: Any, shared: dict[str, Schema], whole: bool = True) -> Any:
+    """A part of the schema with references in place of what is shared; `whole` says whether itself may be one."""
+    if isinstance(part, list):
+        return [_referring(item, shared) for item in part]
+    if not isinstance(part, dict):
+        return part
+    if whole:
+        for name, found in shared.items():
+            if part == found:
+                return {"$ref": f"#/definitions/{name}"}
+    return {key: _referring(item, shared) for key, item in part.items()}
 
 
 def schema_text() -> str:
@@ -153,13 +184,7 @@ def _arguments(make: Callable, **more: Schema) -> Schema:
 
 
 def _mesh() -> Schema:
-    of_nodes, of_sides = _table(_NODES), _table(_NODES | {"inner": _EDGES["inner"]})
-    kinds = {
-        "node_sets": _any(COUNT, _list(COUNT), of_nodes),
-        "element_sets": _ELEMENTS,
-        "side_sets": _any(_PAIRS, of_sides),
-    }
-    sets = {key: {"type": "object", "additionalProperties": kinds[key]} for key in SETS}
+    sets = {key: _sets(key) for key in SETS}
     sets[REFINE] = _said(COUNT, "how often every triangle is cut in four, the whole scene with it")
     sets[IMPERFECTION] = _any(_imperfection(), _list(_imperfection()))
     halves = {"enum": ["split", "error"]}
@@ -171,6 +196,16 @@ def _mesh() -> Schema:
         made["required"].insert(0, "generator")
         variants.append(made)
     return _said(_any(*variants), "a generator with its arguments, or a mesh file")
+
+
+def _sets(key: str) -> Schema:
+    """Named sets of nodes, elements or sides."""
+    kinds = {
+        "node_sets": _any(COUNT, _list(COUNT), _table(_NODES)),
+        "element_sets": _ELEMENTS,
+        "side_sets": _any(_PAIRS, _table(_NODES | {"inner": _EDGES["inner"]})),
+    }
+    return {"type": "object", "additionalProperties": kinds[key]}
 
 
 def _imperfection() -> Schema:

@@ -183,8 +183,8 @@ class Constraint(Contribution):
     """Conditions g(x, R) = 0, at most quadratic, which multipliers λ enforce by the forces -λ ∂g: a joint.
 
     ∂g is that at the mean of the ends of the step, weighted as the balance is: in `EnergyMomentum` λ ∂g does the work
-    λ Δg = 0, and what g sees of relative places and rotations alone keeps the momenta. Conditions hold at the ends of
-    steps.
+    λ Δg = 0. A g that stays where all move and turn alike, of whatever matrices R, keeps the momenta; it is not enough
+    that it stays zero, which it is at the ends of a step and not at their mean. Conditions hold at the ends of steps.
     """
 
     @property

@@ -69,6 +69,16 @@ class Masses(eqx.Module):
     inertia: Float[Array, "r 3 3"]
 
 
+def beside_shell(masses: Masses | None, masters: Frozen | None, mesh: Mesh) -> np.ndarray:
+    """Nodes with a mass that hang on no element, not by a rigid body either; `masters` are the nodes' references."""
+    if masses is None:
+        return np.zeros(0, int)
+    owner = np.arange(mesh.n_nodes) if masters is None else masters.array
+    nodes = masses.nodes.array
+    heavy = nodes[np.asarray(masses.mass) > 0] if is_concrete(masses.mass) else nodes
+    return np.unique(heavy[~np.isin(owner[heavy], owner[mesh.triangles])])
+
+
 def tensor(value, name: str) -> Float[jax.Array, "*k 3 3"]:
     """An inertia tensor; one value is a ball's. Raises ValueError calling it `name` for another shape."""
     found = float_array(value, name)

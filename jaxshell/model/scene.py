@@ -18,7 +18,7 @@ from jaxshell.model.history import History
 from jaxshell.model.initial import Initial
 from jaxshell.model.items import Item, check_names, check_quantity, named
 from jaxshell.model.loads import Centrifugal, InitialStrains, Load
-from jaxshell.model.masses import Masses, PointMass
+from jaxshell.model.masses import Masses, PointMass, beside_shell
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.obstacles import Obstacle
 from jaxshell.model.quantities import QUANTITIES
@@ -169,6 +169,7 @@ class Scene(eqx.Module):
                     if isinstance(item, InitialStrains):
                         item.check_section(self.section, self.mesh)
                     if isinstance(item, Obstacle):
+                        item.check_passing(beside_shell(self.point_masses, self.masters, self.mesh))
                         item.check_start(self.section, self.mesh, *self.start)
                 except ValueError as error:
                     raise ValueError(f"{kind} {position}: {error}") from error

@@ -63,6 +63,8 @@ def colouring(runs: Sequence[Solution], frames: Sequence[Sequence[int]], field: 
     else:
         label = name_of(field, gauge)
         divisor, unit = scaled(scene, largest, symbol_of(field))
+        if gauge.pick == "von mises":
+            low = max(low, 0.0)  # smoothing leaves a little less here and there
         signed = low < 0 < high
         limits = (-largest / divisor, largest / divisor) if signed else (low / divisor, high / divisor)
         colour_map = _SIGNED if signed else COLOUR_MAP

@@ -1,9 +1,12 @@
-"""A window to look at runs in: turn, zoom, and move in time with a slider. PyVista's; in notebooks by trame."""
+"""A window to look at runs in: turn, zoom, and move in time with a slider. PyVista's; in notebooks a page by trame."""
 
+import contextlib
 import importlib.util
+import itertools
 import os
+import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +27,18 @@ _NO_DISPLAY = (
 )
 _OFF_SCREEN = ("EGL", "OSOpenGL")
 """In the names of VTK's windows that nobody sees."""
+_PLACES = {
+    False: {"title": 0.92, "bar": 0.81, "slider": 0.08},
+    True: {"title": 0.02, "bar": 0.11},
+}
+"""Heights in a window; and in a notebook, where PyVista's menu is at the top."""
+_UNDER_MENU = (
+    "position: fixed; top: 62px; left: 20px; width: 460px; display: flex; gap: 12px; align-items: center; "
+    "white-space: nowrap; background: white"
+)
+"""Style of the slider in a notebook's page."""
+_pages = itertools.count()
+"""Numbers the sliders of a notebook's pages, which share a server."""
 
 
 class Stage(NamedTuple):
@@ -32,6 +47,18 @@ class Stage(NamedTuple):
     plotter: Any
     show: Callable[[float], None]
     """Shows the frames that are nearest to a time, in the solutions' unit."""
+    clock: "Clock"
+
+
+class Clock(NamedTuple):
+    """What the slider goes through."""
+
+    start: float
+    end: float
+    divisor: float
+    """What the solutions' times are divided by."""
+    label: str
+    unit: str
 
 
 def view(solutions: Mapping[str, Solution] | Solution, field: str = "displacement", *, notebook: bool | None = None):
@@ -51,17 +78,20 @@ def view(solutions: Mapping[str, Solution] | Solution, field: str = "displacemen
         raise ImportError("In notebooks PyVista needs trame: pip install 'pyvista[jupyter]'")
     if not notebook and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise OSError(_NO_DISPLAY)
-    stage = staged(runs, field, pyvista.Plotter(shape=(1, len(runs)), notebook=notebook, title="jaxshell"))
+    with _quiet():
+        plotter = pyvista.Plotter(shape=(1, len(runs)), notebook=notebook, title="jaxshell")
+    stage = staged(runs, field, plotter, notebook)
     if notebook:
-        return stage.plotter.show(jupyter_backend="trame", return_viewer=True)
-    if any(name in type(stage.plotter.render_window).__name__ for name in _OFF_SCREEN):
-        stage.plotter.close()
+        return _page(stage)
+    if any(name in type(plotter.render_window).__name__ for name in _OFF_SCREEN):
+        plotter.close()
         raise OSError(_NO_DISPLAY)
-    stage.plotter.show()
+    _add_slider(stage)
+    plotter.show()
     return None
 
 
-def staged(runs: Mapping[str, Solution], field: str, plotter) -> Stage:
+def staged(runs: Mapping[str, Solution], field: str, plotter, notebook: bool = False) -> Stage:
     """Put the runs on a plotter with as many places."""
     pyvista = _pyvista()
     frames = [_spread(run) for run in runs.values()]
@@ -73,20 +103,28 @@ def staged(runs: Mapping[str, Solution], field: str, plotter) -> Stage:
         mesh = pyvista.PolyData.from_regular_faces(*_surface(sheet))
         mesh.point_data["values"] = sheet.values.ravel()
         meshes.append(mesh)
-        _add(plotter, mesh, coloured, place)
-        plotter.add_text(title(run.scene, name, "").rstrip(": ").replace(r"\$", "$"), font_size=9, name="title")
-        plotter.add_axes()
+        _add(plotter, mesh, coloured, place, _PLACES[notebook]["bar"])
+        head = spoken(f"{title(run.scene, name, '').rstrip(': ')}\n{coloured.label}")
+        plotter.add_text(head, position=(0.01, _PLACES[notebook]["title"]), viewport=True, font_size=9, name="title")
+        plotter.add_axes(viewport=(0.0, 0.2, 0.18, 0.4))
         _look(plotter, run)
     if len(meshes) > 1:
         plotter.link_views()
-    return Stage(plotter, _slider(plotter, runs, field, coloured, meshes))
+    return Stage(plotter, _shower(plotter, runs, field, coloured, meshes), _clock(runs))
 
 
-def _slider(plotter, runs: Mapping[str, Solution], field: str, coloured: Colouring, meshes) -> Callable[[float], None]:
+def _clock(runs: Mapping[str, Solution]) -> Clock:
     first = next(iter(runs.values()))
-    times = [np.asarray(run.frame_times) for run in runs.values()]
-    end = max(float(t[-1]) for t in times)
+    start = min(float(run.frame_times[0]) for run in runs.values())
+    end = max(float(run.frame_times[-1]) for run in runs.values())
+    if first.analysis == "static":
+        return Clock(start, end, 1.0, "Load factor", "")
     divisor, unit = scaled(first.scene, end, "s")
+    return Clock(start, end, divisor, "Time", unit.removeprefix(" in "))
+
+
+def _shower(plotter, runs: Mapping[str, Solution], field: str, coloured: Colouring, meshes) -> Callable[[float], None]:
+    times = [np.asarray(run.frame_times) for run in runs.values()]
 
     def show(time: float) -> None:
         for run, stored, mesh in zip(runs.values(), times, meshes, strict=True):
@@ -95,24 +133,66 @@ def _slider(plotter, runs: Mapping[str, Solution], field: str, coloured: Colouri
             mesh.point_data["values"] = sheet.values.ravel()
         plotter.render()
 
-    plotter.subplot(0, 0)
-    plotter.add_slider_widget(
-        lambda value: show(value * divisor),
-        (float(min(t[0] for t in times)) / divisor, end / divisor),
-        value=float(min(t[0] for t in times)) / divisor,
-        title="Load factor" if first.analysis == "static" else f"Time{unit}",
-        pointa=(0.25, 0.08),
-        pointb=(0.75, 0.08),
+    return show
+
+
+def _add_slider(stage: Stage) -> None:
+    """VTK's, at the bottom of a window."""
+    clock, height = stage.clock, _PLACES[False]["slider"]
+    stage.plotter.subplot(0, 0)
+    stage.plotter.add_slider_widget(
+        lambda value: stage.show(value * clock.divisor),
+        (clock.start / clock.divisor, clock.end / clock.divisor),
+        value=clock.start / clock.divisor,
+        title=f"{clock.label} in {clock.unit}" if clock.unit else clock.label,
+        pointa=(0.25, height),
+        pointb=(0.75, height),
         title_height=0.02,
         slider_width=0.02,
         tube_width=0.004,
         fmt="%.4g",
         interaction_event="always",
     )
-    return show
 
 
-def _add(plotter, mesh, coloured: Colouring, place: int) -> None:
+def _page(stage: Stage) -> Any:
+    """What shows the runs in a notebook's page, with a slider in PyVista's menu there."""
+    clock, name = stage.clock, f"jaxshell_time_{next(_pages)}"
+
+    def items() -> None:
+        from trame.widgets import html, vuetify3
+
+        with html.Div(style=_UNDER_MENU):
+            vuetify3.VSlider(
+                v_model=(name, clock.start / clock.divisor),
+                min=clock.start / clock.divisor,
+                max=clock.end / clock.divisor,
+                step=(clock.end - clock.start) / clock.divisor / 1000 or 1.0,
+                hide_details=True,
+                density="compact",
+            )
+            html.Span(f"{clock.label} {{{{ Number({name}).toPrecision(4) }}}} {clock.unit}", style="width: 12em")
+
+    shown = stage.plotter.show(jupyter_backend="trame", jupyter_kwargs={"add_menu_items": items}, return_viewer=True)
+    viewer = shown.viewer
+    viewer.server.state[viewer.EDGES] = True  # as they are drawn, not as the menu begins
+
+    @viewer.server.state.change(name)
+    def move(**state) -> None:
+        stage.show(float(state[name]) * clock.divisor)
+        viewer.update()
+
+    return shown
+
+
+def spoken(text: str) -> str:
+    """A text of matplotlib's as VTK writes it: without formulas, and without Greek, which its letters lack."""
+    for mark, letter in ((r"\sigma_", "Stress "), (r"\tau_", "Shear stress "), (r"\$", "\0")):
+        text = text.replace(mark, letter)
+    return re.sub(r"_?\{(\w+)\}", r"\1", text).replace("$", "").replace("\0", "$")
+
+
+def _add(plotter, mesh, coloured: Colouring, place: int, height: float) -> None:
     low, high = coloured.colours.get_clim()
     plotter.add_mesh(
         mesh,
@@ -122,7 +202,16 @@ def _add(plotter, mesh, coloured: Colouring, place: int) -> None:
         show_edges=True,
         edge_opacity=0.3,
         ambient=0.3,
-        scalar_bar_args={"title": f"{coloured.label}{' ' * place}", "vertical": True, "fmt": "%.3g"},
+        scalar_bar_args={
+            "title": " " * (place + 1),  # one bar for each place: PyVista tells them apart by their titles
+            "vertical": False,
+            "position_x": 0.2,
+            "position_y": height,
+            "width": 0.6,
+            "height": 0.09,
+            "label_font_size": 12,
+            "fmt": "%.3g",
+        },
     )
 
 
@@ -161,6 +250,19 @@ def _in_notebook() -> bool:
     shell = sys.modules.get("IPython")
     running = shell.get_ipython() if shell is not None else None
     return type(running).__name__ == "ZMQInteractiveShell"
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what VTK warns of while it looks for a display: `view` says what is missing, and notebooks need none."""
+    from vtkmodules.vtkCommonCore import vtkLogger
+
+    before = vtkLogger.GetCurrentVerbosityCutoff()
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
+    try:
+        yield
+    finally:
+        vtkLogger.SetStderrVerbosity(before)
 
 
 def _pyvista() -> Any:

@@ -26,7 +26,7 @@ class Penetration(NamedTuple):
     node: np.ndarray
     """(f,) which."""
     thickness: Float[np.ndarray, " f"]
-    """Of the shell there [length]; NaN of a section that has none."""
+    """Of the shell there [length], of a point twice its radius; NaN of a section that has none."""
 
     @property
     def worst(self) -> int:
@@ -74,6 +74,7 @@ def _of(solution: Solution, obstacle: Obstacle, name: str) -> Penetration:
     scene, times = solution.scene, np.asarray(solution.frame_times)
     nodes = obstacle.touching(scene.mesh.triangles)
     skin, thickness = obstacle.skin(scene.section, scene.mesh), _thickness(scene)[nodes]
+    thickness = np.where(np.isin(nodes, scene.mesh.triangles), thickness, 2.0 * np.asarray(skin))
     shifts = moved(solution, obstacle, times)
     depth, node = [], []
     for first in range(0, len(times), _FRAMES):

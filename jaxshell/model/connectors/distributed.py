@@ -118,7 +118,7 @@ class MeanMotion(Conditions):
         weights, arms, own, radius = data
         x, R = place.x[1:], place.R[0]
         apart = place.x[0] - R @ own - weights @ x
-        turned = weights @ jnp.cross(arms @ R.T, x) / radius
+        turned = weights @ jnp.cross(arms, x @ R) / radius  # along the reference's axes, as `twist`
         return jnp.concatenate([apart, turned])
 
 

@@ -108,8 +108,13 @@ def held_by_conditions(item: Connector, mesh: Mesh) -> list[tuple[np.ndarray, np
 
 
 def twist(first: Float[Array, "3 3"], second: Float[Array, "3 3"]) -> Float[Array, "3"]:
-    """½ Σ (column i of one) × (column i of the other): sin φ n of the rotation from the first to the second."""
-    return 0.5 * jnp.sum(jnp.cross(first, second, axis=0), axis=1)
+    """sin φ n of the rotation from the first to the second, along the first's axes.
+
+    Made of products of their columns: it stays where both turn alike, also at the mean of a step, whose matrices are no
+    rotations. Along global axes it would turn with them there, and take angular momentum.
+    """
+    Q = first.T @ second
+    return 0.5 * jnp.stack([Q[2, 1] - Q[1, 2], Q[0, 2] - Q[2, 0], Q[1, 0] - Q[0, 1]])
 
 
 class Conditions(Constraint):

@@ -49,11 +49,14 @@ def _friction(value) -> Any:
 class Obstacle(Item):
     """A rigid body that nodes of the shell touch. Arguments that all have, by name:
 
-        nodes: node numbers, or the name of a set; None is all nodes of elements.
+        nodes: node numbers, or the name of a set; None is all nodes of elements. Points, which belong to none, touch it
+            where they are named, and given an `area`, a `stiffness`, an `offset` and with friction a `slip`.
         stiffness: k [force/length³], the pressure of a unit of penetration; None chooses it from the section.
         friction: Coulomb's coefficient μ; 0 is frictionless, and not compiled.
         slip: v0 [length/time], the velocity from which on friction slides; None chooses it from the section.
         offset: distance of the shell's skin from its nodes [length]; None is half the thickness, 0 the middle surface.
+            Of points the radius.
+        area: of each of the points among the nodes [length²]: k times it is its stiffness.
         motion, history: the obstacle is moved by motion (3,) [length] times the history. Statics goes by the load
             factor instead.
         name: for reports and messages.
@@ -71,6 +74,7 @@ class Obstacle(Item):
     """None is none."""
     slip: Float[jax.Array, ""] | None = eqx.field(default=None, converter=optional_floats("slip"), kw_only=True)
     offset: Float[jax.Array, ""] | None = eqx.field(default=None, converter=optional_floats("offset"), kw_only=True)
+    area: Float[jax.Array, ""] | None = eqx.field(default=None, converter=optional_floats("area"), kw_only=True)
     motion: Float[jax.Array, "3"] | None = eqx.field(default=None, converter=optional_floats("motion"), kw_only=True)
     history: History | None = eqx.field(default=None, kw_only=True)
 
@@ -115,7 +119,7 @@ class Obstacle(Item):
         return f"obstacle {position}" if self.name is None else self.name
 
     def __check_init__(self):
-        for name in ("stiffness", "slip"):
+        for name in ("stiffness", "slip", "area"):
             if getattr(self, name) is not None:
                 check_positive_number(f"{self.kind} {name}", getattr(self, name))
         for name in ("friction", "offset"):
@@ -131,12 +135,30 @@ class Obstacle(Item):
             check_vector(f"{self.kind} motion", self.motion)
 
     def check(self, mesh: Mesh) -> None:
-        if self.nodes is None:
+        if self.nodes is not None:
+            check_on_mesh(self.kind, "node", self.nodes.array, mesh.n_nodes)
+        elif not mesh.n_elements:
+            raise ValueError("the scene has no elements, whose nodes touch it where none are named: give its nodes.")
+        points = np.setdiff1d(self.touching(mesh.triangles), mesh.triangles)
+        if not points.size:
+            if self.area is not None:
+                raise ValueError("area is of points that belong to no element, and none touches it: leave it out.")
             return
-        check_on_mesh(self.kind, "node", self.nodes.array, mesh.n_nodes)
-        loose = np.setdiff1d(self.nodes.array, mesh.triangles)
-        if loose.size:
-            raise ValueError(f"node {loose[0]} belongs to no element: it has no share of a surface that could touch.")
+        needed = ("area", "stiffness", "offset", *(("slip",) if self.has_friction else ()))
+        missing = [name for name in needed if getattr(self, name) is None]
+        if missing:
+            raise ValueError(
+                f"node {points[0]} belongs to no element, and has no share of a surface that could touch: give "
+                f"{', '.join(missing)}."
+            )
+
+    def check_passing(self, beside: np.ndarray) -> None:
+        """Raise ValueError where masses `beside` the shell, nodes (k,), would pass through unasked."""
+        if self.nodes is None and beside.size:
+            raise ValueError(
+                f"node {beside[0]} has a mass and hangs on no element: where no nodes are named it would pass through "
+                f"this {self.kind}. Name the nodes that touch it, points with an area, or without them."
+            )
 
     def skin(self, section: AnySection, mesh: Mesh) -> Float[Array, " k"]:
         """Distance of the skin from the nodes that may touch.

@@ -10,6 +10,7 @@ has no cancellation: where one end touches and the other does not, |Δg| is at l
 of the two diagonal entries of the membrane stiffness: κ is about 2 E h of an inner node, whatever the mesh. So a node
 on its own swings against the obstacle as fast as its elements stretch, √(κ/m) ≈ c/ℓ with the wave speed c and the
 element's size ℓ: no smaller step than theirs is asked for, and an impact at the speed v penetrates by about v ℓ/c.
+Of a point, which belongs to no element, κ is k A with the area A that it is given.
 
 **Friction.** F = -μ N v/√(v² + v₀²), v the tangential velocity against the obstacle and N the normal force above: it
 always takes energy. Below the slip velocity v₀ it is viscous: what should stick creeps. Where v₀ is not given it is a
@@ -194,6 +195,9 @@ def touch_of(obstacle: Any, surface: Surface) -> Touch:
     diagonal = 0.5 * (surface.membrane_stiffness[:, 0, 0] + surface.membrane_stiffness[:, 1, 1])
     each = diagonal if obstacle.stiffness is None else obstacle.stiffness * surface.area
     kappa = _sum_at_nodes(each / 3.0, surface.triangles, n)[nodes]
+    if obstacle.area is not None:
+        is_point = ~np.isin(nodes, surface.connectivity)
+        kappa = jnp.where(is_point, obstacle.stiffness * obstacle.area, kappa)
     if obstacle.offset is None:
         offset = half_thickness(surface.layers().z, surface.area, surface.triangles, n)[nodes]
     else:
