@@ -22,6 +22,7 @@ def main() -> int:
         ("cold_start.py", []),
         ("scaling.py", []),
         ("limits.py", []),
+        ("joints.py", []),
         ("work_precision.py", peers),
         ("tables.py", []),
     ):

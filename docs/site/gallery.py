@@ -291,6 +291,50 @@ def sweep(e) -> Figure:
     return figure
 
 
+def spun_blade(e) -> Figure:
+    figure, panel = panels("Campbell diagram of a blade on a hub, 16 × 2 cells beside the beam (dashed)", 1, 3.6)
+    fine = np.linspace(0.0, e.speeds[-1], 61)
+    beams = np.array([e.beams(speed) for speed in fine])
+    for turns in range(1, 7):
+        panel.plot(fine, turns * fine / (2 * np.pi), color="0.8", lw=0.8, zorder=0)
+        at = min(e.speeds[-1], 2 * np.pi * 82.0 / turns)
+        panel.annotate(
+            f"{turns}/rev", (at, turns * at / (2 * np.pi)), color="0.45", fontsize=7, ha="right", va="bottom"
+        )
+    names = ("flapping, first", "lead and lag, first", "flapping, second")
+    for k, (name, colour) in enumerate(zip(names, (BLUE, VERMILLION, "#009E73"), strict=True)):
+        panel.plot(fine, beams[:, k] / (2 * np.pi), "--", color=colour, lw=1.0)
+        panel.plot(e.speeds, e.found[:, k] / (2 * np.pi), "o", color=colour, ms=4, label=name)
+    panel.set(xlabel="speed of the hub in rad/s", ylabel="frequency in Hz", xlim=(0, None), ylim=(0, 85))
+    panel.legend(loc="upper left")
+    return figure
+
+
+def unfolding_panel(e) -> Figure:
+    figure, (left, right) = panels("Panel that unfolds by spring hinges, EnergyMomentum, Δt = 5 ms")
+    nodes, n = np.asarray(e.panel.mesh.nodes), e.plate
+    edge = np.concatenate([k * n + np.flatnonzero(nodes[:n, 1] == 0.0) for k in range(3)])
+    body = e.panel.connectors[0]
+    times = (0.0, 0.25, 0.5, 0.75, 1.0, 4.0)
+    for shade, time in zip(np.linspace(0.0, 0.85, len(times)), times, strict=True):
+        frame = int(np.argmin(np.abs(np.asarray(e.run.frame_times) - time)))
+        x = nodes + np.asarray(e.run.displacements)[frame]
+        colour = matplotlib.colormaps["viridis"](shade)
+        left.plot(*x[[body.master, body.followers[0]]][:, [0, 2]].T, color=colour, lw=3.0, solid_capstyle="butt")
+        left.plot(*x[edge][:, [0, 2]].T, color=colour, lw=1.4, label=f"{time:g} s")
+    left.set(xlabel="x in m", ylabel="z in m", title="thick: the satellite", aspect="equal")
+    left.legend(ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.4))
+    t, energy = np.asarray(e.run.times), e.run.energy
+    for name, values, style in (
+        ("springs and strains", energy.strain, "-"), ("kinetic", energy.kinetic, "-"),
+        ("taken by friction", energy.dissipated, "-"), ("sum", energy.total + energy.dissipated, "k:"),
+    ):  # fmt: skip
+        right.plot(t, values, style, label=name)
+    right.set(xlabel="t in s", ylabel="energy in J")
+    right.legend()
+    return figure
+
+
 SCENES = ("dropped_tray",)
 """Scenes of the library that the gallery shows as the command line runs them."""
 

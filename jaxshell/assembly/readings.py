@@ -28,7 +28,9 @@ class Reading(eqx.Module):
             start, end = acting.places(*before), acting.places(*after)
             forces = _forces(acting, start, end, method)
             read = jax.vmap(lambda *of_group, part=acting.contribution: part.read(*of_group, self.component))
-            values.append(read(acting.data[0] if acting.constrains else acting.data, start, end, forces))
+            # Of a constraint beside the unit of its multipliers.
+            data = acting.data[0] if acting.constrains else acting.data
+            values.append(read(data, start, end, forces))
         return jnp.max(jnp.concatenate(values)) if self._largest else sum(map(jnp.sum, values), jnp.zeros(()))
 
     @property

@@ -17,6 +17,8 @@ SCENES = (
     "dropped_tray",
     "tape_spring",
     "shaken_plate",
+    "spun_blade",
+    "unfolding_panel",
 )
 """The library's names, which a press of the tab key has no time to import."""
 _HOW = {

@@ -255,20 +255,37 @@ class ImplicitMethod(Method):
         motion, corners = self.motion(state, u), model.gather(u)
         forces = jax.vmap(self.element_forces, in_axes=(0, 0, 0, None))(model.gather(motion), corners, data, step)
         residual = model.assemble_vector(forces.elastic + forces.inertial) - loads
-        parts = [(forces.elastic, corners), (forces.inertial, corners), (loads, u)]
-        for acting, force in self.following(model, state, begun, motion, u):
-            residual = residual - model.sum_over_nodes(acting, force)
-            parts.append((force, u[acting.nodes]))
-        if model.lumps is not None:
-            force = jax.vmap(self.lump_force, in_axes=(0, 0, None))(u[model.lumps.at], begun.lumps, step)
-            residual = residual.at[model.lumps.at].add(force)
-            parts.append((force, u[model.lumps.at]))
+        residual, others = self._with_others(model, state, begun, motion, u, residual)
+        parts = [(forces.elastic, corners), (forces.inertial, corners), (loads, u), *others]
         parts = [part for part in parts if part[0].size]
         works = [jnp.sum(f.reshape(len(f), -1) * d.reshape(len(f), -1), axis=1) for f, d in parts]
         work = sum((jnp.sum(jnp.abs(w)) for w in works), jnp.zeros(()))
         halves = [f.reshape(-1, 2, 3) for f, _ in parts]
         force, moment = (jnp.max(jnp.stack([jnp.max(jnp.abs(f[:, k])) for f in halves])) for k in (0, 1))
         return Balance(residual, force, moment, work)
+
+    def _with_others(self, model: Model, state, begun, motion: Motion, u, residual: Float[Array, "n 6"]):
+        """A residual with contributions and point masses, and (force, increments of its nodes) of each of them."""
+        parts = []
+        for acting, force in self.following(model, state, begun, motion, u):
+            residual = residual - model.sum_over_nodes(acting, force)
+            parts.append((force, u[acting.nodes]))
+        if model.lumps is not None:
+            force = jax.vmap(self.lump_force, in_axes=(0, 0, None))(u[model.lumps.at], begun.lumps, begun.step)
+            residual = residual.at[model.lumps.at].add(force)
+            parts.append((force, u[model.lumps.at]))
+        return residual, parts
+
+    def _at_followers(self, model: Model, state, begun, motion: Motion, u) -> Float[Array, "n 6"]:
+        """The residual of `nodal_balance` at nodes that follow others, from the elements that they belong to alone."""
+        assert model.tables.dependent is not None
+        touched = model.tables.dependent.touched
+        whole = model.gather(motion), model.gather(u), begun.data
+        moved, corners, data = jax.tree.map(lambda a: a[touched], whole)
+        forces = jax.vmap(self.element_forces, in_axes=(0, 0, 0, None))(moved, corners, data, begun.step)
+        own = (forces.elastic + forces.inertial).reshape(-1, 3, 6)
+        found = (-begun.loads).at[model.tables.triangles[touched]].add(own)
+        return self._with_others(model, state, begun, motion, u, found)[0]
 
     def matrices(self, model: Model, state, begun, u: Float[Array, "n 6"], tangent: str) -> Float[Array, "m 18 18"]:
         """Element tangents at the increments u: `tangent` is "closed_form" or "autodiff"."""
@@ -421,7 +438,8 @@ class ImplicitMethod(Method):
         if model.elimination is None:
             return model.assemble_matrix(matrices, others)
         levers, ends = self._levers(model, state, begun, u)
-        spin, forces = self.motion(state, u).spin, self.nodal_balance(model, state, begun, u).residual
+        motion = self.motion(state, u)
+        spin, forces = motion.spin, self._at_followers(model, state, begun, motion, u)
         turning = model.elimination.turning(forces, ends, spin, self.weight_at_end(begun.step))
         return model.assemble_matrix(matrices, others, model.elimination.blocks(levers, ends, spin), turning)
 

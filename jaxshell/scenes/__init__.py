@@ -6,6 +6,7 @@ from collections.abc import Callable
 from jaxshell.model.scene import Scene
 from jaxshell.scenes.driven import dropped_tray, shaken_plate, tape_spring
 from jaxshell.scenes.dynamic import flying_cylinder, l_shaped_plate, snapping_panel, spinning_plate
+from jaxshell.scenes.joined import spun_blade, unfolding_panel
 from jaxshell.scenes.paper import free_plate, opened_cap, spherical_cap
 from jaxshell.scenes.static import (
     cantilever_end_moment,
@@ -26,6 +27,7 @@ BY_NAME: dict[str, Callable[..., Scene]] = PAPER | {
     make.__name__: make for make in (flying_cylinder, l_shaped_plate, snapping_panel, spinning_plate)
 }
 BY_NAME |= {make.__name__: make for make in (dropped_tray, tape_spring, shaken_plate)}
+BY_NAME |= {make.__name__: make for make in (spun_blade, unfolding_panel)}
 """The scenes that the command line runs by name: the paper's, and the library's others that move."""
 
 
@@ -55,6 +57,8 @@ __all__ = [
     "snapping_panel",
     "spherical_cap",
     "spinning_plate",
+    "spun_blade",
     "tape_spring",
     "twisted_beam",
+    "unfolding_panel",
 ]

@@ -28,8 +28,8 @@ _SMALLEST = 1e-12
 _CURVED = 1e4
 """What a full correction leaves is about so many times its square, of thin shells, before another one tells."""
 _SOFT, _REFINEMENTS = 1e-6, 3
-"""What stands in place of zeros on the diagonal, as a part of what they become; and how often a solution with a new
-factorization is refined."""
+"""What stands in place of zeros on the diagonal, as a part of what they become; and how often a solution that no
+iteration follows is refined."""
 _FIRST_GUESS = 0.1
 """Contraction of a factorization that has not been used yet."""
 
@@ -61,8 +61,7 @@ class Linear(NamedTuple):
     solver gets them. None where there is none.
 
     A factorization without pivoting would divide by the zeros. In their place it has -s²ε/K, K the largest entry: what
-    remains after elimination of the others is s²/K or more, so a solution errs by ε, and is refined with the matrix
-    itself.
+    remains after elimination of the others is s²/K or more, so a solution errs by ε, and is refined.
     """
 
     def posed(self, model) -> "Linear":
@@ -70,11 +69,18 @@ class Linear(NamedTuple):
         return self._replace(units=model.units, soft=model.soft)
 
     def factor_and_solve(self, values, rhs):
-        """(K⁻¹ rhs, factorization, the matrix that was factored: `values` in these units)."""
-        given, rhs = values, self._times_units(rhs)
-        values = self._scaled(given)
+        """(K⁻¹ rhs, factorization, the matrix that was factored: `values` in these units).
+
+        Where zeros are softened, K_D = K - D, the solution is K_D⁻¹ (1 - D K_D⁻¹) rhs, which errs by ε².
+        """
+        rhs, given = self._times_units(rhs), self._in_units(values)
+        softening = self._softening(given)
+        values = given if softening is None else given.at[self._zeros].add(-softening)
         x, factorization = self.solver.factor_and_solve(self.handle, values, rhs)
-        x = self._refined(x, given, rhs, lambda rest: self.solver.solve(self.handle, factorization, values, rest))
+        if softening is not None:
+            rows = self.handle.rows[self._zeros]
+            left = jnp.zeros_like(x).at[rows].set(-softening * x[rows])
+            x = x + self.solver.solve(self.handle, factorization, values, left)
         return self._times_units(x), factorization, values
 
     def solve(self, factorization, factored, rhs) -> Float[Array, " nf"]:
@@ -82,29 +88,31 @@ class Linear(NamedTuple):
         return self._times_units(self.solver.solve(self.handle, factorization, factored, self._times_units(rhs)))
 
     def solve_once(self, values, rhs) -> Float[Array, " nf"]:
-        """K⁻¹ rhs, differentiable to every order; see `linear_solve`."""
-        matrix, rhs = self._scaled(values), self._times_units(rhs)
+        """K⁻¹ rhs to the last digit, differentiable to every order; see `linear_solve`."""
+        rhs, given = self._times_units(rhs), self._in_units(values)
+        softening = self._softening(given)
+        if softening is None:
+            return self._times_units(linear_solve(self.solver, self.handle, given, rhs))
+        matrix = given.at[self._zeros].add(-softening)
         x = linear_solve(self.solver, self.handle, matrix, rhs)
-        x = self._refined(x, values, rhs, lambda rest: linear_solve(self.solver, self.handle, matrix, rest))
+        for _ in range(_REFINEMENTS):
+            left = rhs - multiply(self.handle, given, x)
+            x = x + linear_solve(self.solver, self.handle, matrix, left)
         return self._times_units(x)
 
-    def _refined(self, x, values, rhs, solve: Callable):
-        """A solution x with the softened matrix of these values, by `solve` of what it leaves of `rhs`; x itself where
-        nothing is softened."""
-        if self.soft is None:
-            return x
-        exact = self._replace(soft=None)._scaled(values)
-        for _ in range(_REFINEMENTS):
-            x = x + solve(rhs - multiply(self.handle, exact, x))
-        return x
+    @property
+    def _zeros(self):
+        assert self.soft is not None
+        return self.soft[0]
 
-    def _scaled(self, values):
-        if self.units is not None:
-            values = scaled(values, self.handle.rows, self.handle.indices, self.units)
+    def _softening(self, values) -> Float[Array, " q"] | None:
+        """D: what is taken from the zeros of a matrix in these units; None where there are none."""
         if self.soft is None:
-            return values
-        places, squares = self.soft
-        return values.at[places].add(-_SOFT * squares / jax.lax.stop_gradient(jnp.max(jnp.abs(values))))
+            return None
+        return _SOFT * self.soft[1] / jax.lax.stop_gradient(jnp.max(jnp.abs(values)))
+
+    def _in_units(self, values):
+        return values if self.units is None else scaled(values, self.handle.rows, self.handle.indices, self.units)
 
     def _times_units(self, vector):
         return vector if self.units is None else self.units * vector
