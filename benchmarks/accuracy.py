@@ -12,6 +12,7 @@ import dataclasses
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
@@ -38,7 +39,7 @@ _SMALL = 1e-6
 
 def shaped(scene: js.Scene, shape: str, thickness=None) -> js.Scene:
     """The scene with elements of that shape."""
-    old = scene.section
+    old: Any = scene.section
     thickness = old.thickness if thickness is None else thickness
     section = js.Section(thickness, old.young_modulus, old.poisson_ratio, old.density, shape=shape)
     return dataclasses.replace(scene, section=section)

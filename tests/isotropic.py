@@ -1,7 +1,7 @@
 """Elements and their two plane parts for an isotropic section, from thickness, modulus, Poisson's ratio and density."""
 
 from jaxshell.elements import bending, membrane
-from jaxshell.elements.corotational import Element
+from jaxshell.elements.element import Element
 from jaxshell.model.materials.isotropic import plane_stress_matrix
 from jaxshell.model.sections.isotropic import isotropic
 

@@ -19,7 +19,7 @@ from jaxshell.assembly.discretised import Model
 from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.elements.corotational import internal_force
-from jaxshell.methods.base import Observation, Solvers
+from jaxshell.methods.method import Observation, Solvers
 from jaxshell.model import generators
 from jaxshell.model.loads.pressure import pressure_force
 from jaxshell.solvers.iteration import Linear

@@ -10,7 +10,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from jaxshell.elements.corotational import Element
+from jaxshell.elements.element import Element
 
 # Compiling makes the first example slow; the same examples in every run keep failures reproducible.
 PROFILE = settings(deadline=None, derandomize=True, max_examples=40, database=None)

@@ -15,8 +15,9 @@ import jaxshell as js
 from jaxshell.assembly.discretised import Model
 from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
-from jaxshell.methods.base import Solvers, _problem
+from jaxshell.methods.base import _problem
 from jaxshell.methods.bathe import ThreePointBackward
+from jaxshell.methods.method import Solvers
 from jaxshell.methods.static import Static
 from jaxshell.model import generators
 from jaxshell.model.contribution import Contribution

@@ -1,6 +1,7 @@
 """Elements that stand for a curved surface: their forces, tangents and normals, and what they bring."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,7 +12,7 @@ import pytest
 import jaxshell as js
 from jaxshell.assembly.elements import build_elements
 from jaxshell.elements import corotational, energy_momentum
-from jaxshell.elements.corotational import Element
+from jaxshell.elements.element import Element
 from jaxshell.elements.shape import Tangents
 from jaxshell.model import generators
 from jaxshell.model.corner_normals import corner_normals
@@ -233,7 +234,7 @@ def test_the_opened_cap_is_nearer_its_limit_on_the_same_mesh():
 def test_a_relaxed_hemisphere_bends_on_a_coarse_mesh():
     # Linear deflection under the pinching forces; the limit of 64×64 cells is 9.355.
     scene = js.scenes.hemisphere((8, 8), force=1e-4)
-    old = scene.section
+    old: Any = scene.section
     found = {}
     for shape in ("flat", "relaxed"):
         section = js.Section(old.thickness, old.young_modulus, old.poisson_ratio, old.density, shape=shape)

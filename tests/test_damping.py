@@ -17,6 +17,7 @@ from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.elements import corotational, energy_momentum, inertia
 from jaxshell.elements.director_inertia import DirectorMotion
+from jaxshell.elements.element import Element
 from jaxshell.files.scene_file import read_scene_file
 from jaxshell.methods import damping
 from jaxshell.methods import energy_momentum as exact
@@ -180,7 +181,7 @@ def element_step(seed=5):
     scene = strip()
     section = jax.tree.map(lambda leaf: leaf[0], scene.section.resultants(scene.mesh))
     corners = np.asarray(scene.mesh.nodes)[np.asarray(scene.mesh.triangles)[0]]
-    element = corotational.Element.build(jnp.asarray(corners), section)
+    element = Element.build(jnp.asarray(corners), section)
     x = jnp.asarray(corners + 0.02 * rng.normal(size=(3, 3)))
     R = jax.vmap(exp)(0.3 * jnp.asarray(rng.normal(size=(3, 3))))
     u = jnp.asarray(np.array([0.01] * 3 + [0.2] * 3) * rng.normal(size=(3, 6)))

@@ -12,8 +12,9 @@ from jaxshell.assembly.discretised import Model
 from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.elements.inertia import Spins
-from jaxshell.methods.base import Solvers, _problem
+from jaxshell.methods.base import _problem
 from jaxshell.methods.generalized_energy_momentum import GEMState
+from jaxshell.methods.method import Solvers
 from jaxshell.model.generators import rectangle
 from jaxshell.model.loads.pressure import pressure_force, pressure_stiffness
 from jaxshell.numerics.rotations import exp

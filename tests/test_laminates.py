@@ -14,8 +14,8 @@ from jaxshell.assembly.discretised import Model
 from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.elements import corotational, energy_momentum
-from jaxshell.elements.corotational import Element
 from jaxshell.elements.director_inertia import DirectorMotion
+from jaxshell.elements.element import Element
 from jaxshell.elements.inertia import PointStart, Spins
 from jaxshell.methods import energy_momentum as exact
 from jaxshell.methods import generalized_energy_momentum as paper
@@ -41,7 +41,7 @@ def far():
     soft = [js.Ply(js.Orthotropic(14.0, 1.0, 0.3, 0.5, 1.6), 0.06, 30.0), js.Ply(js.Isotropic(3.0, 0.3, 2.5), 0.05)]
     given = js.Laminate(soft, offset=0.03).resultants(js.Mesh(x0, [[0, 1, 2]]))
     element = Element.build(jnp.asarray(x0), jax.tree.map(lambda a: a[0], given))
-    element = corotational.Element(**{**element.__dict__, "rest": random(0.05, 12)})
+    element = Element(**{**element.__dict__, "rest": random(0.05, 12)})
     turned = jax.jit(jax.vmap(exp))
     x, R = jnp.asarray(x0) + random(0.05, 3, 3), turned(random(0.4, 3, 3))
     spins = Spins(turned(random(0.5, 7, 3)), random(1.0, 7, 3), random(3.0, 7, 3))

@@ -25,7 +25,7 @@ from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.elements.inertia import Spins
 from jaxshell.methods import seven_point
-from jaxshell.methods.base import Solvers
+from jaxshell.methods.method import Solvers
 from jaxshell.numerics.rotations import skew
 from jaxshell.solvers.iteration import Linear
 

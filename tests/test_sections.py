@@ -13,7 +13,7 @@ from scipy.sparse.linalg import splu
 
 import jaxshell as js
 from jaxshell.elements import corotational
-from jaxshell.elements.corotational import Element, constant_strains, corners, strain_matrices
+from jaxshell.elements.element import Element, constant_strains, corners, strain_matrices
 from jaxshell.elements.membrane import membrane_stiffness
 from jaxshell.model.generators import rectangle
 from jaxshell.model.sections.base import BETA_0_MINIMUM, optimal_beta0

@@ -18,7 +18,7 @@ from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import Tables, analyse, nodal_tables
 from jaxshell.files.quoted import quote
 from jaxshell.gradients import Gradients
-from jaxshell.methods.base import Method, Solvers
+from jaxshell.methods.method import Method, Solvers
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import check_count, is_concrete
 from jaxshell.results.frames import Frames, StoredFrames

@@ -19,12 +19,13 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Array, Float
-from scipy.linalg import LinAlgError, eig, eigh
-from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs, eigsh, splu
+from scipy.linalg import eigh
 
 from jaxshell.analyses import spinning
+from jaxshell.analyses.eigen import DENSE, Inverse, indefinite, lanczos, on_host, power_of_two, shift_invert
 from jaxshell.analyses.statics import proportional
-from jaxshell.assembly.discretised import Model, elimination_of
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.prepared import elimination_of
 from jaxshell.assembly.sparsity import SparsityPattern
 from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import Tables, analyse
@@ -33,7 +34,7 @@ from jaxshell.elements.inertia import mass_matrix
 from jaxshell.model.mechanisms import check_supported, connected_parts
 from jaxshell.model.scene import Scene
 from jaxshell.numerics import rotations
-from jaxshell.numerics.checks import check_choice, is_concrete, require_float64
+from jaxshell.numerics.checks import check_choice, require_float64
 from jaxshell.numerics.compiled import compiled
 from jaxshell.results.eigenmodes import Eigenmodes, load_eigenmodes, save_eigenmodes
 from jaxshell.results.head import BUCKLING, MODES
@@ -44,8 +45,6 @@ from jaxshell.solvers.linear_solver import default_solver, scaled
 
 _RIGID = 1e-3
 """A free shell's motion below this part of the lowest bending frequency scale is a rigid-body motion."""
-_DENSE = 120
-"""Degrees of freedom up to which eigenvalues are those of full matrices; Lanczos' space may not fit into fewer."""
 _ROUND_OFF = 1e-12
 """An energy below this part of its terms is noise."""
 
@@ -148,17 +147,17 @@ def natural_frequencies(
 
     def solve(K, M, shift):
         # ω² as a multiple of a power of two near `shift`: ARPACK's tolerances are absolute.
-        size, unit = _power_of_two(np.abs(K).max()), _power_of_two(shift)
+        size, unit = power_of_two(np.abs(K).max()), power_of_two(shift)
         shift = float(shift) / unit
         asked = min(count + spare, pattern.size - 1)
-        values, vectors = _shift_invert(_sparse(pattern, K / size), _sparse(pattern, M * (unit / size)), -shift, asked)
+        values, vectors = shift_invert(_sparse(pattern, K / size), _sparse(pattern, M * (unit / size)), -shift, asked)
         kept = slice(None)
         if not rigid_modes:
             kept = np.flatnonzero(np.abs(values) > _RIGID**2 * shift)
         values, vectors = values[kept][:count], vectors[:, kept][:, :count]
         return np.pad(vectors.T, ((0, count - len(values)), (0, 0)), constant_values=np.nan)
 
-    vectors = _normalised(pattern, M, _on_host(solve, (count, pattern.size), K, M, shift))
+    vectors = _normalised(pattern, M, on_host(solve, (count, pattern.size), K, M, shift))
     rigid = _are_rigid(pattern, K, vectors, shift)
     pencil = Pencil(K, M, pattern, soft)
     omega_sq = eigenvalues(pencil, vectors, ~rigid)
@@ -177,13 +176,13 @@ def _spinning(scene: Scene, tables: Tables, pattern: SparsityPattern, state, tim
 
     def solve(K, G, M, shift):
         # λ as a multiple of √unit, so that all entries are near 1.
-        size, unit = _power_of_two(np.abs(K).max()), _power_of_two(shift)
+        size, unit = power_of_two(np.abs(K).max()), power_of_two(shift)
         K, G, M = (_sparse(pattern, v) for v in (K / size, G * (np.sqrt(unit) / size), M * (unit / size)))
         found = spinning.pairs(K, G, M, count)
         found[:, 2, :2] *= np.sqrt(unit)
         return found
 
-    found = _on_host(solve, (count, 3, pattern.size), K, G, M, shift)
+    found = on_host(solve, (count, 3, pattern.size), K, G, M, shift)
     real, imaginary, growth = found[:, 0], found[:, 1], found[:, 2, 0]
     norm = quadratic(pattern, jax.lax.stop_gradient(M), real) + quadratic(pattern, jax.lax.stop_gradient(M), imaginary)
     real, imaginary = (part / jnp.sqrt(norm)[:, None] for part in (real, imaginary))
@@ -221,17 +220,17 @@ def linear_buckling(scene: Scene, count: int = 5) -> BucklingModes:
     K, K_sigma = (_posed(pattern, units, v) for v in values)
 
     def solve(K, K_sigma):
-        sizes = (_power_of_two(np.abs(values).max()) for values in (K, K_sigma))
+        sizes = (power_of_two(np.abs(values).max()) for values in (K, K_sigma))
         K, K_sigma = (_sparse(pattern, v / size) for v, size in zip((K, K_sigma), sizes, strict=True))
         if tables.multipliers:  # K has no definite sign
-            return _indefinite(K, K_sigma, count)
-        if pattern.size <= _DENSE:
+            return indefinite(K, K_sigma, count)
+        if pattern.size <= DENSE:
             _, vectors = eigh(-K_sigma.toarray(), K.toarray())
             return vectors.T[::-1][:count]
-        _, vectors = _lanczos(-K_sigma, k=count, M=K, Minv=_Inverse(K), which="LA")
+        _, vectors = lanczos(-K_sigma, k=count, M=K, Minv=Inverse(K), which="LA")
         return vectors.T[::-1]
 
-    vectors = _normalised(pattern, K, _on_host(solve, (count, pattern.size), K, K_sigma))
+    vectors = _normalised(pattern, K, on_host(solve, (count, pattern.size), K, K_sigma))
     positive = quadratic(pattern, jax.lax.stop_gradient(K_sigma), vectors) < 0
     pencil = Pencil(-K_sigma, K, pattern, soft)
     reciprocal = eigenvalues(pencil, vectors, positive)
@@ -345,20 +344,7 @@ def _stressed(model: Model, at_rest, nodal: Float[Array, "n 6"]):
     return [(acting, along(acting)) for acting in model.elastic]
 
 
-# --- eigenvalues on the host ------------------------------------------------------------------------------
-
-
-def _on_host(function, shape, *values) -> Float[Array, "c *nf"]:
-    """Eigenvectors by a function of NumPy arrays, also while JAX traces; constants for its derivatives."""
-    values = jax.lax.stop_gradient(values)
-    result = jax.ShapeDtypeStruct(shape, jnp.float64)
-    if not all(is_concrete(v) for v in values):
-        found = jax.pure_callback(
-            lambda *v: np.asarray(function(*map(np.asarray, v))), result, *values, vmap_method="sequential"
-        )
-    else:
-        found = jnp.asarray(function(*map(np.asarray, values)))
-    return jax.lax.stop_gradient(found)
+# --- vectors ----------------------------------------------------------------------------------------------
 
 
 def _posed(pattern: SparsityPattern, units, values) -> Float[Array, " m"]:
@@ -366,11 +352,6 @@ def _posed(pattern: SparsityPattern, units, values) -> Float[Array, " m"]:
     with jax.ensure_compile_time_eval():
         rows, columns = jnp.asarray(pattern.rows), jnp.asarray(pattern.indices.array)
     return scaled(symmetric(pattern, values), rows, columns, units)
-
-
-def _power_of_two(number) -> float:
-    """The one above `number`; 1 for zero."""
-    return float(np.ldexp(1.0, np.frexp(float(number))[1]))
 
 
 def _sparse(pattern: SparsityPattern, values: np.ndarray) -> Any:  # SciPy's types say array or matrix
@@ -389,82 +370,6 @@ def _are_rigid(pattern: SparsityPattern, K, vectors, shift):
     energy = jnp.abs(quadratic(pattern, K, vectors))
     terms = quadratic(pattern, jnp.abs(K), jnp.abs(vectors))
     return (energy < _ROUND_OFF * terms) & (energy < _RIGID**2 * shift)
-
-
-class _Inverse(LinearOperator):
-    """A⁻¹ by SuperLU."""
-
-    def __init__(self, matrix):
-        super().__init__(np.float64, matrix.shape)
-        if (matrix.diagonal() == 0).any():  # of multipliers
-            self.factors = splu(matrix)
-        else:
-            self.factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-
-    def _matvec(self, x):
-        return self.factors.solve(x)
-
-
-class _Quotient(LinearOperator):
-    """A⁻¹ B, with pivots."""
-
-    def __init__(self, A, B):
-        super().__init__(np.float64, A.shape)
-        self.factors, self.B = splu(A), B
-
-    def _matvec(self, x):
-        return self.factors.solve(self.B @ x)
-
-
-def _shift_invert(K, M, shift: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The `count` eigenpairs of K φ = λ M φ nearest to `shift` from above, ascending, φᵀ M φ = 1."""
-    inverse = _Inverse((K - shift * M).tocsc())
-    if M.shape[0] <= _DENSE:
-        values, vectors = _dense_shift_invert(K.toarray(), M.toarray(), shift, count)
-    else:
-        values, vectors = _lanczos(K, k=count, M=M, sigma=shift, OPinv=inverse, which="LM")
-    # One more step cleans the vectors of what the singular mass matrix cannot see.
-    vectors = inverse.factors.solve(M @ vectors)
-    vectors = vectors / np.sqrt(np.sum(vectors * (M @ vectors), axis=0))
-    order = np.argsort(values)
-    return values[order], vectors[:, order]
-
-
-def _dense_shift_invert(K, M, shift: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The eigenpairs of K φ = λ M φ nearest to `shift`, from M φ = θ (K - shift M) φ with λ = shift + 1/θ."""
-    shifted = K - shift * M
-    try:
-        theta, vectors = eigh(M, shifted)
-    except LinAlgError:  # not positive definite, about an unstable state
-        theta, vectors = (np.real(part) for part in eig(M, shifted))
-    nearest = np.argsort(-np.abs(theta))[:count]
-    with np.errstate(divide="ignore"):  # beyond the rank of M
-        return shift + 1.0 / theta[nearest], vectors[:, nearest]
-
-
-def _indefinite(K, K_sigma, count: int) -> np.ndarray:
-    """The vectors (count, n) of the largest μ of -K_σ φ = μ K φ, where multipliers make saddles of the matrices.
-
-    On what joints leave free K is definite, and μ are real.
-    """
-    size = K.shape[0]
-    if size <= _DENSE:
-        found: Any = eig(np.linalg.solve(K.toarray(), -K_sigma.toarray()))
-    else:
-        start = np.random.default_rng(0).standard_normal(size)
-        found = eigs(_Quotient(K, -K_sigma), k=count, which="LR", v0=start)
-    values, vectors = found
-    return np.real(vectors[:, np.argsort(-np.real(values))[:count]]).T
-
-
-def _lanczos(matrix, **options):
-    # A start that repeats: with ARPACK's own, equal eigenvalues come with other vectors every time.
-    start = np.random.default_rng(0).standard_normal(matrix.shape[0])
-    try:
-        return eigsh(matrix, v0=start, **options)
-    except ArpackNoConvergence as error:
-        found = len(error.eigenvalues)
-        raise RuntimeError(f"Only {found} of {options['k']} eigenvalues converged; ask for fewer.") from error
 
 
 def _nodal(scene: Scene, tables: Tables, R, vectors) -> Float[Array, "c n 6"]:

@@ -15,7 +15,7 @@ from jaxshell.assembly.discretised import Model
 from jaxshell.assembly.gauges import Watching
 from jaxshell.assembly.tables import Tables
 from jaxshell.gradients import Gradients, merge, scan_steps
-from jaxshell.methods.base import Method, Observation, Solvers
+from jaxshell.methods.method import Method, Observation, Solvers
 from jaxshell.methods.state import State
 from jaxshell.methods.static import Static, held_reactions
 from jaxshell.model.scene import WATCHABLE, Scene

@@ -33,7 +33,7 @@ from jaxshell.analyses.progress import Progress
 from jaxshell.analyses.step_control import StepControl
 from jaxshell.files.quoted import quote
 from jaxshell.gradients import Gradients, Stored
-from jaxshell.methods.base import Method
+from jaxshell.methods.method import Method
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import check_positive, check_positive_number, check_steps, is_concrete, require_float64
 from jaxshell.results.restart import time_of

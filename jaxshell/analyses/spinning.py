@@ -17,16 +17,15 @@ from jaxtyping import Array, Float
 from scipy.linalg import eig
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs, splu
 
+from jaxshell.analyses.eigen import DENSE
 from jaxshell.assembly.discretised import Model
 from jaxshell.assembly.sparsity import SparsityPattern
-from jaxshell.elements.corotational import Element
+from jaxshell.elements.element import Element
 from jaxshell.model.masses import euler_tensor
 from jaxshell.model.scene import Scene
 from jaxshell.numerics import rotations
 from jaxshell.numerics.triangles import LINEAR_MASS
 
-_DENSE = 120
-"""Unknowns up to which all pairs are found by full matrices."""
 _STILL = 1e-6
 """A growth below this part of the frequency is round-off."""
 
@@ -82,7 +81,7 @@ def pairs(K, G, M, count: int) -> np.ndarray:
     """(count, 3, n) of the pairs with the smallest |λ|: φ by its real and its imaginary part, and λ by growth and ω in
     the first two entries of the third row. `K`, `G`, `M` are sparse, of entries near 1."""
     size, inverse = K.shape[0], _Inverse(K, G, M)
-    if size <= _DENSE:
+    if size <= DENSE:
         found: Any = eig(np.stack([inverse._matvec(unit) for unit in np.eye(2 * size)], axis=1))
     else:
         start = np.random.default_rng(0).standard_normal(2 * size)

@@ -26,7 +26,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational
-from jaxshell.methods.base import Solvers
+from jaxshell.methods.method import Solvers
 from jaxshell.methods.static import Static, StaticState
 from jaxshell.numerics import rotations
 from jaxshell.solvers.iteration import Memory

@@ -13,14 +13,23 @@ from jaxshell.assembly.driven import Motion, Turned, motion_of
 from jaxshell.assembly.elements import build_elements
 from jaxshell.assembly.elimination import Blocks, Elimination
 from jaxshell.assembly.gauges import Watching, watching
-from jaxshell.assembly.lumps import Lumps, lumps_of
+from jaxshell.assembly.lumps import Lumps
+from jaxshell.assembly.prepared import (
+    acting_in,
+    acting_on_bending,
+    elimination_of,
+    lumps_in,
+    membrane_scale,
+    nodal_load,
+    rest_deformations,
+    size_of,
+)
 from jaxshell.assembly.readings import Reading, readings
-from jaxshell.assembly.structure import groups_of
 from jaxshell.assembly.tables import Tables
 from jaxshell.elements import corotational
-from jaxshell.elements.corotational import Element
 from jaxshell.elements.cubic_inertia import levers
-from jaxshell.model.contribution import Constraint, Surface
+from jaxshell.elements.element import Element
+from jaxshell.model.contribution import Surface
 from jaxshell.model.damping import Damping
 from jaxshell.model.history import History
 from jaxshell.model.loads import DeadLoad
@@ -61,13 +70,13 @@ class Model(eqx.Module):
         x0 = jnp.concatenate([scene.mesh.nodes, jnp.zeros((tables.multipliers, 3))])
         resultants = scene.section.resultants(scene.mesh)
         elements = build_elements(scene, resultants, bends_mass=bends_mass)
-        lumps = _lumps(scene, tables)
+        lumps = lumps_in(scene, tables)
         dead = tuple(
-            (_nodal(load, x0, tables, elements, lumps), load.history)
+            (nodal_load(load, x0, tables, elements, lumps), load.history)
             for load in scene.loads
             if isinstance(load, DeadLoad)
         )
-        size = _size(scene)
+        size = size_of(scene)
         surface = Surface(
             x0,
             tables.triangles,
@@ -84,10 +93,10 @@ class Model(eqx.Module):
         )
         moving = tuple(motion_of(support, x0, scene.initial) for support in scene.supports if support.moves)
         damping = None if scene.damping is None else scene.damping.per_element(scene.mesh.n_elements)
-        unit = _membrane_scale(elements, lumps) if tables.multipliers else None
-        acting = _acting(scene, tables, surface, unit)
+        unit = membrane_scale(elements, lumps) if tables.multipliers else None
+        acting = acting_in(scene, tables, surface, unit)
         if bends_mass:
-            acting += _on_bending(scene, tables, surface)
+            acting += acting_on_bending(scene, tables, surface)
         histories = (load.history for load in scene.initial_strains)
         rests = tuple(zip(rest_deformations(scene, elements), histories, strict=True))
         gauges, elimination = watching(scene, elements), elimination_of(scene, tables)
@@ -429,70 +438,3 @@ class Model(eqx.Module):
             jax.vmap(corotational.internal_force)(self.gather(x), self.gather(R), self.elements_at((1.0, time)))
         )
         return total - self.sum_of(self.elastic, x, R, time) if self.elastic else total
-
-
-def rest_deformations(scene: Scene, elements: Element) -> tuple[Float[Array, "m 12"], ...]:
-    """Deformations at which the elements are free of stress, for every initial strain of the scene, for factor 1."""
-    free = (load.strains(scene.section, scene.mesh) for load in scene.initial_strains)
-    return tuple(jax.vmap(corotational.constant_strains)(elements.coordinates, *strains) for strains in free)
-
-
-def elimination_of(scene: Scene, tables: Tables) -> Elimination | None:
-    """What of a scene's nodes is no unknown; None where there is none such."""
-    if tables.dependent is None:
-        return None
-    x0, dependent = scene.mesh.nodes, tables.dependent
-    return Elimination(dependent, x0[dependent.followers] - x0[dependent.masters], scene.axes)
-
-
-def _size(scene: Scene) -> Float[Array, ""]:
-    """The diagonal of the shell's bounding box, of the points' where there is no shell; 1 for a single one."""
-    mesh = scene.mesh
-    nodes = mesh.nodes[: mesh.n_nodes - mesh.points] if mesh.n_elements else mesh.nodes
-    size = jnp.linalg.norm(jnp.max(nodes, axis=0) - jnp.min(nodes, axis=0))
-    return size if mesh.n_elements else jnp.where(size > 0, size, 1.0)
-
-
-def _membrane_scale(elements: Element, lumps: Lumps | None) -> Float[Array, ""]:
-    """The unit of multipliers [force/length]: about the membrane stiffness of an element; constant for derivatives."""
-    if elements.area.size:
-        found = jnp.mean(jnp.trace(elements.K_membrane[:, :3, :3], axis1=1, axis2=2)) / 3.0
-    else:
-        found = jnp.ones(()) if lumps is None else jnp.sum(lumps.mass)
-    return jax.lax.stop_gradient(found)
-
-
-def _nodal(load: DeadLoad, x0, tables: Tables, elements: Element, lumps: Lumps | None) -> Float[Array, "n 6"]:
-    """A dead load's forces and moments on the nodes, point masses among them."""
-    total = load.nodal(x0, tables.triangles, elements.mass_per_area)
-    on_masses = None if lumps is None else load.on_masses(lumps.mass)
-    return total if lumps is None or on_masses is None else total.at[lumps.at, :3].add(on_masses)
-
-
-def _placed(tables: Tables) -> list[tuple[Any, Any]]:
-    """The groups other than the elements' own, with their places in the sparse matrix."""
-    return list(zip(tables.groups, tables.entries or (None,) * len(tables.groups), strict=True))
-
-
-def _lumps(scene: Scene, tables: Tables) -> Lumps | None:
-    """The scene's point masses, whose groups are the last in the tables."""
-    return None if scene.point_masses is None else lumps_of(scene, *_placed(tables)[-1])
-
-
-def _on_bending(scene: Scene, tables: Tables, surface: Surface) -> tuple[Acting, ...]:
-    """What the loads add where masses follow rotations."""
-    parts = (load.on_bending() for load in scene.loads if isinstance(load, DeadLoad))
-    return tuple(Acting(p, p.data(surface), tables.triangles, None, True) for p in parts if p is not None)
-
-
-def _acting(scene: Scene, tables: Tables, surface: Surface, unit) -> tuple[Acting, ...]:
-    """The scene's contributions; groups that are not the elements' own follow each other in the tables."""
-    found, others = [], iter(_placed(tables))
-    for contribution, nodes in zip(scene.contributions, groups_of(scene), strict=True):
-        own = nodes == scene.mesh.connectivity
-        indices, entries = (tables.triangles, None) if own else next(others)
-        data = contribution.data(surface)
-        if isinstance(contribution, Constraint):
-            data = data, jnp.broadcast_to(unit, indices.shape[:1])
-        found.append(Acting(contribution, data, indices, entries, own))
-    return tuple(found)

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxshell.elements.corotational import Element
 from jaxshell.elements.cubic_inertia import mass_of
+from jaxshell.elements.element import Element
 from jaxshell.elements.shape import Tangents
 from jaxshell.model.corner_normals import corner_normals
 from jaxshell.model.edges import Edges

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxshell.elements.corotational import Element
+from jaxshell.elements.element import Element
 from jaxshell.elements.strains import section_strains
 from jaxshell.model.gauge import At, Gauge, gauge_of
 from jaxshell.model.history import History

@@ -21,8 +21,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.elements.bending import EDGES
-from jaxshell.elements.corotational import Element, corners
 from jaxshell.elements.director_inertia import Momenta, rate_of_change
+from jaxshell.elements.element import Element, corners
 from jaxshell.elements.energy_momentum import mid_matrix
 from jaxshell.numerics.products import cross, product
 from jaxshell.numerics.rotations import skew

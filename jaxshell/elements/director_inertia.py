@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxshell.elements.corotational import Element
+from jaxshell.elements.element import Element
 from jaxshell.elements.energy_momentum import mid_matrix
 from jaxshell.numerics.products import cross, dot, product, scaled
 from jaxshell.numerics.rotations import skew

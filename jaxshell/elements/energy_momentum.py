@@ -30,7 +30,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxshell.elements import corotational
-from jaxshell.elements.corotational import Element, Kinematics
+from jaxshell.elements.corotational import Kinematics
+from jaxshell.elements.element import Element
 from jaxshell.elements.shape import curvature_stiffness
 from jaxshell.numerics import rotations
 from jaxshell.numerics.fusion import formed

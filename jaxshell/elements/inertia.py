@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxshell.elements.corotational import Element
+from jaxshell.elements.element import Element
 from jaxshell.numerics import rotations
 from jaxshell.numerics.checks import Real
 from jaxshell.numerics.products import cross, dot, product

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxshell.elements import corotational
-from jaxshell.elements.corotational import Element, strain_matrices
+from jaxshell.elements.element import Element, strain_matrices
 
 CORNERS_OF_MIDPOINTS = ((1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, 1.0, 1.0))
 """Rows: a linear field at the corners 1, 2, 3 from its values at the mid-edges 12, 23, 31."""

@@ -1,10 +1,10 @@
 """Time integrators, one a file."""
 
-from jaxshell.methods.base import Method
 from jaxshell.methods.bathe import Bathe
 from jaxshell.methods.central_difference import CentralDifference
 from jaxshell.methods.energy_momentum import EnergyMomentum
 from jaxshell.methods.generalized_energy_momentum import GeneralizedEnergyMomentum
+from jaxshell.methods.method import Method
 from jaxshell.methods.newmark import HHT, GeneralizedAlpha, Newmark
 
 __all__ = [

@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 
 from jaxshell.assembly.discretised import Model
 from jaxshell.elements.inertia import GAUSS_POINTS, Spins, StepFactors
-from jaxshell.methods.base import Method, StepInfo
 from jaxshell.methods.damping import DampedState, Rates
+from jaxshell.methods.method import Method, StepInfo
 from jaxshell.methods.newmark import ForceLevelMethod, Newmark, NewmarkState, step_factors
 
 

@@ -32,7 +32,7 @@ from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import Tables, nodal_tables
 from jaxshell.elements import corotational
 from jaxshell.methods import damping
-from jaxshell.methods.base import Method, Observation, StepInfo, may_have_first_moment
+from jaxshell.methods.method import Method, Observation, StepInfo, may_have_first_moment
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import MovingState
 from jaxshell.model.contribution import Constraint

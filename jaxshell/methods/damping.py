@@ -18,7 +18,8 @@ from jaxtyping import Array, Float
 
 from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational, inertia
-from jaxshell.elements.corotational import Element, Kinematics
+from jaxshell.elements.corotational import Kinematics
+from jaxshell.elements.element import Element
 from jaxshell.elements.inertia import GAUSS_POINTS, GAUSS_WEIGHTS, LINEAR_MASS, Spins, StepFactors
 from jaxshell.numerics.products import dot
 

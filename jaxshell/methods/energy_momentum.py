@@ -15,10 +15,11 @@ from jaxtyping import Array, Float
 
 from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational, cubic_inertia, director_inertia, energy_momentum
-from jaxshell.elements.corotational import Element
+from jaxshell.elements.element import Element
 from jaxshell.elements.energy_momentum import StepStart, edges_of, mid_matrix, spin_matrix
 from jaxshell.methods import masses, predictor
-from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Motion, Observation
+from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Motion
+from jaxshell.methods.method import Observation
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import PredictedState
 from jaxshell.model.damping import Damping

@@ -15,10 +15,12 @@ from jaxtyping import Array, Float
 
 from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational, inertia
-from jaxshell.elements.corotational import Element, Kinematics
+from jaxshell.elements.corotational import Kinematics
+from jaxshell.elements.element import Element
 from jaxshell.elements.inertia import Spins, StepFactors
 from jaxshell.methods import damping, masses, predictor, seven_point, traditional
-from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation, may_have_first_moment
+from jaxshell.methods.base import Begun, Forces, ImplicitMethod
+from jaxshell.methods.method import Observation, may_have_first_moment
 from jaxshell.methods.start import initial_accelerations, initial_motion, linear_of
 from jaxshell.methods.state import PredictedState
 from jaxshell.numerics.checks import Real, check_choice, check_within

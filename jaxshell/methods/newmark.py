@@ -24,10 +24,11 @@ from jaxtyping import Array, Float
 
 from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational
-from jaxshell.elements.corotational import Element
+from jaxshell.elements.element import Element
 from jaxshell.elements.inertia import PointStart, Spins, StepFactors
 from jaxshell.methods import damping, masses, predictor, seven_point
-from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Observation
+from jaxshell.methods.base import Begun, Forces, ImplicitMethod
+from jaxshell.methods.method import Observation
 from jaxshell.methods.start import initial_accelerations, initial_motion, linear_of, translational_inertia
 from jaxshell.methods.state import PredictedState
 from jaxshell.numerics.checks import Real, check_number, check_within, is_concrete

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.assembly.discretised import Model
 from jaxshell.elements.inertia import LINEAR_MASS
-from jaxshell.methods.base import Observation
+from jaxshell.methods.method import Observation
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.static import Static, StaticState
 

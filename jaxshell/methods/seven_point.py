@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational, inertia
-from jaxshell.elements.corotational import Element
+from jaxshell.elements.element import Element
 from jaxshell.elements.inertia import (
     GAUSS_POINTS,
     GAUSS_WEIGHTS,

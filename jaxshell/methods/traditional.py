@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.assembly.discretised import Model
 from jaxshell.elements import inertia
-from jaxshell.elements.corotational import Element
+from jaxshell.elements.element import Element
 from jaxshell.elements.inertia import LINEAR_MASS, Spins, StepFactors
 from jaxshell.numerics import rotations
 from jaxshell.numerics.products import dot, product

@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxshell.assembly.discretised import rest_deformations
 from jaxshell.assembly.elements import build_elements
 from jaxshell.assembly.gauges import force_probe
+from jaxshell.assembly.prepared import rest_deformations
 from jaxshell.elements import corotational
-from jaxshell.elements.corotational import Element
+from jaxshell.elements.element import Element
 from jaxshell.elements.strains import section_strains as strains_of_element
 from jaxshell.model.materials.base import strain_rotation
 from jaxshell.model.scene import Scene

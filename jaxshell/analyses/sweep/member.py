@@ -11,7 +11,7 @@ from jaxshell.analyses.driver import check_options
 from jaxshell.analyses.simulation import step_sizes
 from jaxshell.analyses.step_control import StepControl
 from jaxshell.files.quoted import quote
-from jaxshell.methods.base import Method
+from jaxshell.methods.method import Method
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.frozen import Frozen
 from jaxshell.solvers.linear_solver import LinearSolver
