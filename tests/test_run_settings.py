@@ -74,7 +74,7 @@ ANALYSES = {
     "static": SOLVED | {"load_factors": (0.5, 2.0), "branch": "follow", "save_every": 2},
     "static in steps": SOLVED | {"analysis": "static", "load_steps": 4, "picture_times": (0.0, 0.5)},
     "arc-length": SOLVED | {"arc_length": 0.1, "max_steps": 7, "max_load_factor": 3.0},
-    "modes": {"count": 4, "rigid_modes": False, "preload": 0.5},
+    "modes": {"count": 4, "rigid_modes": False, "preload": 0.5, "inertia": "cubic"},
     "buckling": {"count": 2},
 }
 ANALYSES = {name: {"analysis": name, **settings} for name, settings in ANALYSES.items()}
@@ -121,7 +121,7 @@ def test_other_analyses_are_asked_for_alike(name, monkeypatch, tmp_path):
     function, times, positional, named = found
     assert times == settings.get("picture_times", ())
     if function == "natural_frequencies":
-        assert (positional, named) == ((4, "loaded"), {"rigid_modes": False})
+        assert (positional, named) == ((4, "loaded"), {"rigid_modes": False, "inertia": "cubic"})
     elif function == "linear_buckling":
         assert positional == (2,)
     else:
@@ -263,7 +263,10 @@ def test_command_line_comes_before_the_file(asked, tmp_path):
         ("method = 3", "[run] method must be a name or a list of names, but it is 3"),
         ('method = [["EMC"]]', "[run] method must be a name or a list of names"),
         ("method = []", "[run] method must be a name or a list of names"),
-        ('inertia = "much"', "[run] inertia must be one of seven_point, traditional, none, but it is 'much'"),
+        (
+            'inertia = "much"',
+            "[run] inertia must be one of seven_point, traditional, none, linear, cubic, but it is 'much'",
+        ),
         ("picture_times = 0.1", "[run] picture_times must be a list of numbers, but it is 0.1"),
         ("picture_times = [true]", "[run] picture_times must be a list of numbers"),
         ("stepsize = 0.1", "[run] has the unknown key 'stepsize'"),

@@ -69,7 +69,7 @@ class Model(eqx.Module):
         """The model of a scene; `tables` are of its `structure_of`. `bends_mass` as the method has it."""
         x0 = jnp.concatenate([scene.mesh.nodes, jnp.zeros((tables.multipliers, 3))])
         resultants = scene.section.resultants(scene.mesh)
-        elements = build_elements(scene, resultants, bends_mass=bends_mass)
+        elements = build_elements(scene, resultants, bends_mass=bends_mass, triangles=tables.triangles)
         lumps = lumps_in(scene, tables)
         dead = tuple(
             (nodal_load(load, x0, tables, elements, lumps), load.history)

@@ -17,31 +17,32 @@ from jaxshell.model.sections.regions import region_of_elements
 
 
 def build_elements(
-    scene: Scene, resultants: Resultants | None = None, build=Element.build, bends_mass: bool = False
+    scene: Scene, resultants: Resultants | None = None, build=Element.build, bends_mass: bool = False, triangles=None
 ) -> Element:
     """The elements, each field with a leading axis over them; `build` makes one of corners, section and tangents.
 
-    `bends_mass` gives them the masses that follow rotations.
+    `bends_mass` gives them the masses that follow rotations. `triangles` are the mesh's as arrays, where one program is
+    to serve every connectivity.
     """
-    elements, normals = _elements(scene, resultants, build)
+    mesh = scene.mesh
+    corners = mesh.nodes[mesh.triangles if triangles is None else triangles]
+    resultants = scene.section.resultants(mesh) if resultants is None else resultants
+    elements, normals = _elements(scene, corners, resultants, build)
     if not bends_mass:
         return elements
     masses = jax.vmap(mass_of)(elements, normals)
     return eqx.tree_at(lambda e: e.mass, elements, masses, is_leaf=lambda leaf: leaf is None)
 
 
-def _elements(scene: Scene, resultants: Resultants | None, build):
+def _elements(scene: Scene, corners: Float[Array, "m 3 3"], resultants: Resultants, build):
     """The elements, and the normals at their corners where some are curved."""
-    mesh = scene.mesh
-    nodes, triangles = mesh.nodes, mesh.triangles
-    resultants = scene.section.resultants(mesh) if resultants is None else resultants
-    shapes = scene.section.shapes(mesh)
+    mesh, shapes = scene.mesh, scene.section.shapes(scene.mesh)
     if not shapes.any():
-        return jax.vmap(build)(nodes[triangles], resultants), None
+        return jax.vmap(build)(corners, resultants), None
     curved, relaxed = (_chosen(shapes == SHAPES.index(shape)) for shape in ("curved", "relaxed"))
     # Of the nodes, not of the surface that the mesh may remember: nodes may have been moved off it.
-    normals = corner_normals(nodes, Edges(triangles), groups=region_of_elements(scene.section, mesh)).normals
-    elements = jax.vmap(build)(nodes[triangles], resultants, Tangents(normals, curved, relaxed))
+    normals = corner_normals(mesh.nodes, Edges(mesh.triangles), groups=region_of_elements(scene.section, mesh)).normals
+    elements = jax.vmap(build)(corners, resultants, Tangents(normals, curved, relaxed))
     if curved is None:
         return elements, None
     return elements, jnp.where(curved[:, None, None] > 0, normals, elements.frame[:, None, 2])

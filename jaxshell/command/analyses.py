@@ -131,8 +131,8 @@ def _found(settings: RunSettings, scene, count: int):
             raise ValueError("preload must not be zero: leave it out for the state at the start.")
         factors = _steps_to(settings.preload, _PRELOAD_STEPS)
         about = solve_static(scene, factors, save_every=_PRELOAD_STEPS)
-    rigid, inertia = settings.rigid_modes is not False, settings.inertia or "linear"
-    modes = natural_frequencies(scene, count, about, rigid_modes=rigid, inertia=inertia)
+    chosen = {} if settings.inertia is None else {"inertia": settings.inertia}
+    modes = natural_frequencies(scene, count, about, rigid_modes=settings.rigid_modes is not False, **chosen)
     return modes.frequencies, modes.shapes
 
 
