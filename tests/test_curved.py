@@ -10,10 +10,14 @@ import numpy as np
 import pytest
 
 import jaxshell as js
+from jaxshell.assembly.discretised import Model
 from jaxshell.assembly.elements import build_elements
+from jaxshell.assembly.structure import structure_of
+from jaxshell.assembly.tables import analyse
 from jaxshell.elements import corotational, energy_momentum
 from jaxshell.elements.element import Element
 from jaxshell.elements.shape import Tangents
+from jaxshell.methods.static import Static
 from jaxshell.model import generators
 from jaxshell.model.corner_normals import corner_normals
 from jaxshell.model.edges import Edges
@@ -242,3 +246,23 @@ def test_a_relaxed_hemisphere_bends_on_a_coarse_mesh():
         found[shape] = -float(run.watched["inward"][-1]) * 1e6 / 9.355
     assert found["flat"] < 0.55
     assert found["relaxed"] == pytest.approx(1, abs=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", ["curved", "relaxed"])
+def test_tangents_of_all_methods_are_the_derivatives(shape):
+    section = js.Section(0.4, 1000.0, 0.3, 0.1, shape=shape)
+    scene = dataclasses.replace(js.scenes.opened_cap((4, 1)), section=section, damping=js.RayleighDamping(0.1, 0.01))
+    tables, _ = analyse(structure_of(scene))
+    rng, dt = np.random.default_rng(0), jnp.asarray(0.05)
+    first, second = (jnp.asarray(0.05 * rng.normal(size=(scene.mesh.n_nodes, 6))) for _ in range(2))
+    methods = js.EnergyMomentum(0.1, inertia="cubic"), js.GeneralizedEnergyMomentum(0.8, 0.1), js.GeneralizedAlpha(0.6)
+    for method in (*methods, Static()):
+        model = Model.build(scene, tables, method.bends_mass)
+        state = method.start(model, scene, 0.0)
+        state = method.finish(model, state, dt, first, method.motion(state, first), method.begin(model, state, dt))
+        begun = method.begin(model, state, dt)
+        found, exact = (
+            np.asarray(method.matrices(model, state, begun, second, t)) for t in ("closed_form", "autodiff")
+        )
+        assert np.max(np.abs(found - exact)) < 1e-11 * np.max(np.abs(exact))
