@@ -27,9 +27,9 @@ _SMALLEST = 1e-12
 """Corrections below this are not asked for the sake of energy: near it positions have no more digits."""
 _CURVED = 1e4
 """What a full correction leaves is about so many times its square, of thin shells, before another one tells."""
-_SOFT, _REFINEMENTS = 1e-6, 3
-"""What stands in place of zeros on the diagonal, as a part of what they become; and how often a solution that no
-iteration follows is refined."""
+_SOFT, _REFINEMENTS, _IN_NEWTON = 1e-6, 3, 2
+"""What stands in place of zeros on the diagonal, as a part of what they become; and how often a solution with a
+softened matrix is refined, where no iteration follows and in Newton's."""
 _FIRST_GUESS = 0.1
 """Contraction of a factorization that has not been used yet."""
 
@@ -71,16 +71,18 @@ class Linear(NamedTuple):
     def factor_and_solve(self, values, rhs):
         """(K⁻¹ rhs, factorization, the matrix that was factored: `values` in these units).
 
-        Where zeros are softened, K_D = K - D, the solution is K_D⁻¹ (1 - D K_D⁻¹) rhs, which errs by ε².
+        Where zeros are softened the solution is refined with the matrix itself: a factorization without pivoting loses
+        digits of saddles besides, and Newton would take for converged what it has not solved for (2e-11 of the angular
+        momentum after 10 000 steps of jointed plates, 1e-13 with two refinements).
         """
         rhs, given = self._times_units(rhs), self._in_units(values)
         softening = self._softening(given)
         values = given if softening is None else given.at[self._zeros].add(-softening)
         x, factorization = self.solver.factor_and_solve(self.handle, values, rhs)
         if softening is not None:
-            rows = self.handle.rows[self._zeros]
-            left = jnp.zeros_like(x).at[rows].set(-softening * x[rows])
-            x = x + self.solver.solve(self.handle, factorization, values, left)
+            for _ in range(_IN_NEWTON):
+                left = rhs - multiply(self.handle, given, x)
+                x = x + self.solver.solve(self.handle, factorization, values, left)
         return self._times_units(x), factorization, values
 
     def solve(self, factorization, factored, rhs) -> Float[Array, " nf"]:
