@@ -29,7 +29,8 @@ from scipy.sparse import csc_matrix  # noqa: E402
 from scipy.sparse.linalg import splu  # noqa: E402
 
 import jaxshell as js  # noqa: E402
-from jaxshell.assembly.discretised import Model, structure_of  # noqa: E402
+from jaxshell.assembly.discretised import Model  # noqa: E402
+from jaxshell.assembly.structure import structure_of  # noqa: E402
 from jaxshell.assembly.tables import analyse  # noqa: E402
 from jaxshell.numerics.compiled import OPTIONS  # noqa: E402
 from jaxshell.solvers.linear_solver import default_solver  # noqa: E402
