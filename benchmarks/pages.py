@@ -1,6 +1,8 @@
 """Tables in the pages of docs/: how they are written, and their places between `<!-- name -->` and `<!-- end name -->`."""
 
+import argparse
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 
@@ -19,3 +21,13 @@ def table(header: list[str], rows: list[list[str]]) -> str:
     """A table in Markdown."""
     lines = ["| " + " | ".join(cells) + " |" for cells in (header, *rows)]
     return "\n".join([lines[0], "|" + "---|" * len(header), *lines[1:]])
+
+
+def write(description: str | None, page: Path, tables: dict[str, Callable[[], str]]) -> None:
+    """The command of a script that makes a page's tables: all of them, or those that its arguments name."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tables", nargs="*", choices=[[], *tables], help="which tables; all by default")
+    for name in parser.parse_args().tables or tables:
+        text = tables[name]()
+        print(f"{name}\n{text}\n", flush=True)
+        fill(page, {name: text})

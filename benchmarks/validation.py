@@ -7,7 +7,6 @@ Tables go between the page's markers `<!-- NAME -->` and `<!-- end NAME -->`, an
 Sze, Liu & Lo 2004 (tables of load factor and displacement) unless a title says otherwise.
 """
 
-import argparse
 import dataclasses
 import sys
 from pathlib import Path
@@ -18,7 +17,7 @@ import jax
 import numpy as np
 
 import jaxshell as js
-from benchmarks.pages import fill, table
+from benchmarks.pages import table, write
 from jaxshell import scenes
 from jaxshell.model import generators
 from jaxshell.model.mesh import chain, grid
@@ -316,12 +315,7 @@ TABLES = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("tables", nargs="*", choices=[[], *TABLES], help="which tables; all by default")
-    for name in parser.parse_args().tables or TABLES:
-        text = TABLES[name]()
-        print(f"{name}\n{text}\n", flush=True)
-        fill(PAGE, {name: text})
+    write(__doc__, PAGE, TABLES)
 
 
 if __name__ == "__main__":

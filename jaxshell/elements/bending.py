@@ -42,16 +42,28 @@ def bending_strains(xy: Float[Array, "3 2"]) -> Float[Array, "3 3 9"]:
     return jnp.stack(_curvatures(xy))
 
 
+def edge_function_gradients(xy: Float[Array, "3 2"]) -> Float[Array, "3 3 2"]:
+    """Gradients of 4 N_i N_j [1/length], which is 1 in the middle of edge ij: (mid-edge, edge, component)."""
+    gradients, found = _gradients(xy), []
+    for p, q in EDGES:
+        N = [0.5 if a in (p, q) else 0.0 for a in range(3)]
+        found.append(jnp.stack([4.0 * (N[i] * gradients[j] + N[j] * gradients[i]) for i, j in EDGES]))
+    return jnp.stack(found)
+
+
+def _gradients(xy: Float[Array, "3 2"]) -> Float[Array, "3 2"]:
+    """Of N1, N2, N3."""
+    opposite = xy[jnp.array([2, 0, 1])] - xy[jnp.array([1, 2, 0])]
+    return jnp.stack([-opposite[:, 1], opposite[:, 0]], axis=1) / (2.0 * _area(xy))
+
+
 def _area(xy: Float[Array, "3 2"]) -> Float[Array, ""]:
     first_edge, last_edge = xy[1] - xy[0], xy[2] - xy[0]
     return 0.5 * (first_edge[0] * last_edge[1] - first_edge[1] * last_edge[0])
 
 
 def _curvatures(xy: Float[Array, "3 2"]) -> list[Float[Array, "3 9"]]:
-    area = _area(xy)
-    opposite = xy[jnp.array([2, 0, 1])] - xy[jnp.array([1, 2, 0])]
-    gradients = jnp.stack([-opposite[:, 1], opposite[:, 0]], axis=1) / (2.0 * area)  # of N1, N2, N3
-
+    gradients = _gradients(xy)
     freedoms = jnp.eye(9)
     w = freedoms[0::3]
     beta = jnp.stack([freedoms[2::3], -freedoms[1::3]], axis=1)  # (3, 2, 9): β = (θy, -θx) at the corners
@@ -66,10 +78,9 @@ def _curvatures(xy: Float[Array, "3 2"]) -> list[Float[Array, "3 9"]]:
 
     linear_part = jnp.einsum("ax,abf->xbf", gradients, beta)
     found = []
-    for p, q in EDGES:
-        N = [0.5 if a in (p, q) else 0.0 for a in range(3)]
+    for of_edges in edge_function_gradients(xy):
         slope = linear_part  # slope[x, b]: derivative by x of β_b
-        for (i, j), delta in zip(EDGES, excess, strict=True):
-            slope = slope + 4.0 * jnp.einsum("x,bf->xbf", N[i] * gradients[j] + N[j] * gradients[i], delta)
+        for gradient, delta in zip(of_edges, excess, strict=True):
+            slope = slope + jnp.einsum("x,bf->xbf", gradient, delta)
         found.append(jnp.stack([slope[0, 0], slope[1, 1], slope[0, 1] + slope[1, 0]]))
     return found

@@ -78,12 +78,8 @@ def mass_of(element: Element, normals: Float[Array, "3 3"] | None) -> Float[Arra
 
 def at_start(elements: Element, R: Float[Array, "m 3 3 3"], v: Float[Array, "m 3 3"], W) -> CubicMotion:
     """The motion of all elements from rotations, velocities and Ṙ at their corners."""
-    axes = elements.frame[:, None]
-    return CubicMotion(v, jnp.einsum("maij,mabj->mabi", R, _each(axes)), jnp.einsum("maij,mabj->mabi", W, _each(axes)))
-
-
-def _each(axes: Float[Array, "m 1 3 3"]) -> Float[Array, "m 3 3 3"]:
-    return jnp.broadcast_to(axes, (axes.shape[0], 3, 3, 3))
+    axes, rates = (jnp.einsum("maij,mbj->mabi", of, elements.frame) for of in (R, W))
+    return CubicMotion(v, axes, rates)
 
 
 def steady(u: Float[Array, "3 6"], start: CubicMotion, dt) -> CubicMotion:

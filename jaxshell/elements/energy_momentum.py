@@ -189,27 +189,10 @@ def evaluate(start: StepStart, x, R, u: Float[Array, "3 6"], element: Element, d
     c = missing * per_norm
     s = s + scaled(c * w_metric, d_metric)
     p = p + scaled(c * w, _apply_transposed(A, turned))
-    if element.shape is not None:
-        stresses = formed(stresses)
     s, p, f, mu, P1, A, turned = formed((s, p, f, mu, P1, A, turned))
-    return StepState(
-        kin,
-        increments,
-        edges,
-        theta,
-        A,
-        turned,
-        d_metric,
-        change,
-        f if element.shape is None else stresses,
-        f,
-        mu,
-        P1,
-        s,
-        p,
-        c,
-        per_norm,
-    )
+    stresses = f if element.shape is None else formed(stresses)
+    step = increments, edges, theta, A, turned, d_metric, change
+    return StepState(kin, *step, stresses, f, mu, P1, s, p, c, per_norm)
 
 
 def _mean_J(start: StepStart, kin: Kinematics) -> Float[Array, "3 6"] | None:

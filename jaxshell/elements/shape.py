@@ -26,7 +26,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxshell.elements.bending import EDGES
+from jaxshell.elements.bending import EDGES, edge_function_gradients
 from jaxshell.numerics.checks import Real
 from jaxshell.numerics.products import dot, product, transposed_product
 
@@ -69,19 +69,8 @@ class Shape(eqx.Module):
         length_sq = jnp.sum(edges * edges, axis=1)
         along = edges[:, :, None] * edges[:, None, :] / length_sq[:, None, None]
         P = curved * (0.5 * jnp.eye(2) - 0.75 * along)
-        x, y = edges[:, 0], edges[:, 1]
-        double_area = x[0] * y[1] - y[0] * x[1]
-        heights = mid_edge_heights(xy, slopes)
-        # Gradients of N_a, a opposite to the edge after it; w0 = Σ 4 N_i N_j h_ij.
-        gradients = jnp.stack([-y, x], axis=1)[jnp.array([1, 2, 0])] / double_area
-        at_edges = []
-        for p, q in EDGES:
-            N = [0.5 if a in (p, q) else 0.0 for a in range(3)]
-            terms = [
-                4.0 * h * (N[i] * gradients[j] + N[j] * gradients[i]) for (i, j), h in zip(EDGES, heights, strict=True)
-            ]
-            at_edges.append(terms[0] + terms[1] + terms[2])
-        return cls(strain_gradient(jnp.stack(at_edges), P), P, jnp.zeros((3, 3)), jnp.zeros((3, 6)), None)
+        slopes_of_surface = jnp.einsum("pex,e->px", edge_function_gradients(xy), mid_edge_heights(xy, slopes))
+        return cls(strain_gradient(slopes_of_surface, P), P, jnp.zeros((3, 3)), jnp.zeros((3, 6)), None)
 
     def stiffened(self, area, A, mean_strain, B, mean_curvature) -> "Shape":
         """The same with its stiffness. A and B (None where there is none) are the section's, `mean_strain` and
