@@ -52,6 +52,7 @@ def matched(fine: js.Mesh, other: js.Mesh) -> tuple[float, np.ndarray]:
 SCENES = {
     "spherical_cap": (3, 6), "free_plate": ((4, 2), (8, 4)), "opened_cap": ((8, 2), (16, 4)),
     "snapping_panel": ((2, 2), (4, 4)), "slit_annular_plate": ((1, 6), (2, 12)), "hemisphere": ((2, 2), (4, 4)),
+    "suddenly_loaded_cap": (3, 6),
     "twisted_beam": ((4, 2), (8, 4)), "l_shaped_plate": (1, 2), "pinched_cylinder": ((2, 2), (4, 4)),
 }  # fmt: skip
 

@@ -14,6 +14,7 @@ SCENES = (
     "l_shaped_plate",
     "snapping_panel",
     "spinning_plate",
+    "suddenly_loaded_cap",
     "dropped_tray",
     "tape_spring",
     "shaken_plate",

@@ -5,7 +5,13 @@ from collections.abc import Callable
 
 from jaxshell.model.scene import Scene
 from jaxshell.scenes.driven import dropped_tray, shaken_plate, tape_spring
-from jaxshell.scenes.dynamic import flying_cylinder, l_shaped_plate, snapping_panel, spinning_plate
+from jaxshell.scenes.dynamic import (
+    flying_cylinder,
+    l_shaped_plate,
+    snapping_panel,
+    spinning_plate,
+    suddenly_loaded_cap,
+)
 from jaxshell.scenes.joined import spun_blade, unfolding_panel
 from jaxshell.scenes.paper import free_plate, opened_cap, spherical_cap
 from jaxshell.scenes.static import (
@@ -24,7 +30,8 @@ PAPER = {"cap": spherical_cap, "plate": free_plate, "opened_cap": opened_cap}
 """The scenes of Yang & Xia 2014, under the names that the command line uses."""
 
 BY_NAME: dict[str, Callable[..., Scene]] = PAPER | {
-    make.__name__: make for make in (flying_cylinder, l_shaped_plate, snapping_panel, spinning_plate)
+    make.__name__: make
+    for make in (flying_cylinder, l_shaped_plate, snapping_panel, spinning_plate, suddenly_loaded_cap)
 }
 BY_NAME |= {make.__name__: make for make in (dropped_tray, tape_spring, shaken_plate)}
 BY_NAME |= {make.__name__: make for make in (spun_blade, unfolding_panel)}
@@ -58,6 +65,7 @@ __all__ = [
     "spherical_cap",
     "spinning_plate",
     "spun_blade",
+    "suddenly_loaded_cap",
     "tape_spring",
     "twisted_beam",
     "unfolding_panel",

@@ -23,21 +23,7 @@ def spherical_cap(divisions: int = 10, force: float = 444.8, thickness: float = 
     Point (i, j) of the grid lies at polar angle 10.9°·max(i, j)/divisions. Watches "apex" (uz).
     """
     check_number("force", force)
-    (divisions,) = counts("spherical_cap", divisions, (1,))
-    radius, half_angle = 0.1209, math.radians(10.9)
-    s, t = grid(*[np.arange(divisions + 1) / divisions] * 2)
-    polar = half_angle * np.maximum(s, t)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        azimuth = np.where(s >= t, 0.25 * np.pi * t / s, 0.5 * np.pi - 0.25 * np.pi * s / t)
-    azimuth = np.where(polar == 0, 0.0, azimuth)
-    nodes = radius * np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], 1)
-    surface = SphericalSurface(radius, chart="square")
-    mesh = Mesh(nodes, structured_triangles(divisions, divisions), surface=surface)
-    supports = (
-        clamped(np.flatnonzero(np.maximum(s, t) == 1)),
-        symmetry(np.flatnonzero(t == 0), "y"),
-        symmetry(np.flatnonzero(s == 0), "x"),
-    )
+    mesh, supports = clamped_quarter("spherical_cap", 0.1209, 10.9, divisions)
     return Scene(
         mesh,
         Section(thickness, 68.94e9, 0.3, 2618.0),
@@ -55,6 +41,28 @@ def spherical_cap(divisions: int = 10, force: float = 444.8, thickness: float = 
             axes=(("apex", -0.002182, "Deflection $w_A/H$"),),
         ),
     )
+
+
+def clamped_quarter(scene: str, radius: float, half_angle: float, divisions: int) -> tuple[Mesh, tuple[Support, ...]]:
+    """A quarter of a spherical cap about +z, its apex node 0, with a clamped edge and symmetry at x = 0 and y = 0.
+
+    `half_angle` in degrees. Raises ValueError for the `divisions` of the function `scene`.
+    """
+    (divisions,) = counts(scene, divisions, (1,))
+    s, t = grid(*[np.arange(divisions + 1) / divisions] * 2)
+    polar = math.radians(half_angle) * np.maximum(s, t)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        azimuth = np.where(s >= t, 0.25 * np.pi * t / s, 0.5 * np.pi - 0.25 * np.pi * s / t)
+    azimuth = np.where(polar == 0, 0.0, azimuth)
+    nodes = radius * np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], 1)
+    surface = SphericalSurface(radius, chart="square")
+    mesh = Mesh(nodes, structured_triangles(divisions, divisions), surface=surface)
+    supports = (
+        clamped(np.flatnonzero(np.maximum(s, t) == 1)),
+        symmetry(np.flatnonzero(t == 0), "y"),
+        symmetry(np.flatnonzero(s == 0), "x"),
+    )
+    return mesh, supports
 
 
 def free_plate(divisions: tuple[int, int] = (15, 3), loads: Sequence[Load] | None = None) -> Scene:
@@ -106,8 +114,9 @@ def opened_cap(divisions: tuple[int, int] = (48, 10), force: float = 1.0, thickn
 
     Radius 12.16 m, from polar angle 18.594° (top ring) to 55.668° (bottom ring), E 1000 Pa, ν 0.3,
     ρ 0.1 kg/m³; z held on the bottom ring, and nothing else. A force min(t, 1)·`force` [N] in -z on each of
-    48 top-ring nodes; on another number of nodes the same resultant. divisions = (around, along the
-    meridian from the bottom ring). Watches "A", the top-ring node at azimuth 0 (uz).
+    48 top-ring nodes, as a load along the edges of the ring, whose resultant is the same on any number of nodes. So
+    finer meshes have a limit: refined, forces on 48 nodes would become forces on points. divisions = (around, along
+    the meridian from the bottom ring). Watches "A", the top-ring node at azimuth 0 (uz).
     """
     check_number("force", force)
     around, meridian = counts("opened_cap", divisions, (3, 1))
@@ -116,13 +125,14 @@ def opened_cap(divisions: tuple[int, int] = (48, 10), force: float = 1.0, thickn
     polar, azimuth = bottom + (top - bottom) * i / meridian, 2 * np.pi * j / around
     nodes = radius * np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], 1)
     ring = np.flatnonzero(i == meridian)
+    length = 2 * around * radius * math.sin(top) * math.sin(math.pi / around)  # of the ring's edges
     # Rows climb towards the apex, so the outward normal asks for the second direction to run first.
     triangles = structured_triangles(meridian, around, periodic=True)[:, [0, 2, 1]]
     return Scene(
         Mesh(nodes, triangles, surface=SphericalSurface(radius, chart="polar")),
         Section(thickness, 1000.0, 0.3, 0.1),
         (Support(np.flatnonzero(i == 0), "uz"),),
-        (NodalForce(ring, [0.0, 0.0, -force * 48 / around], History.ramp(1.0)),),
+        (EdgeForce(chain(np.append(ring, ring[0])), [0.0, 0.0, -48 * force / length], History.ramp(1.0)),),
         name="opened_cap",
         watch={"A": (int(ring[0]), "uz"), "A velocity": (int(ring[0]), "vz")},
         defaults=Defaults(

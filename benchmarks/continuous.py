@@ -1,0 +1,179 @@
+"""Make the answers of the continuous problems: `python benchmarks/continuous.py [cap opened_cap plate ...]`.
+
+`EnergyMomentum` on a sequence of meshes, each with half the size of elements and half the step of the one before, by
+two discretisations that have little in common but the limit: the flat element with linear inertia, and the curved one
+with cubic inertia (on plane scenes: the flat one with cubic inertia). Both errors are of second order in mesh and step
+together, so that one extrapolation takes both out. The answer is the extrapolation of the second discretisation; its
+uncertainty, at every time, the larger of its distance to the extrapolation before and to that of the other
+discretisation. Runs are kept in --runs, so that a finer level can be added later. Writes `jaxshell/data/*_limit.npz`,
+and what was seen into results/continuous.json and the table of docs/accuracy.md.
+"""
+
+import argparse
+import dataclasses
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+os.environ.setdefault("MKL_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+import jax
+import numpy as np
+
+jax.config.update("jax_enable_x64", True)
+
+import jaxshell as js  # noqa: E402
+from benchmarks.pages import fill, table  # noqa: E402
+from jaxshell import scenes  # noqa: E402
+from jaxshell.advice import limits, references  # noqa: E402
+from jaxshell.advice.references import Reference, agreement, extrapolate, signal_size  # noqa: E402
+
+HERE = Path(__file__).parent
+DATA = Path(limits.__file__).parent.parent / "data"
+PAGE = HERE.parent / "docs" / "accuracy.md"
+NEWTON = js.Newton(tolerance=1e-9)
+
+
+class Case(NamedTuple):
+    """A scene, the meshes of its levels, and the step of the first."""
+
+    make: Callable[..., js.Scene]
+    meshes: tuple
+    dt: float
+    window: float
+    first: float
+    """Until when its first swing lasts."""
+    smooth: str = "curved"
+    """Shape of the second discretisation: plane scenes have nothing to be curved."""
+
+
+CASES = {
+    "cap": Case(scenes.spherical_cap, (10, 20, 40, 80), 2e-6, 2.5e-4, 1.25e-4),
+    "suddenly_loaded_cap": Case(scenes.suddenly_loaded_cap, (10, 20, 40, 80), 5e-6, 1e-3, 4e-4),
+    "opened_cap": Case(scenes.opened_cap, ((24, 5), (48, 10), (96, 20), (192, 40)), 0.02, 2.6, 1.0),
+    "plate": Case(scenes.free_plate, ((15, 3), (30, 6), (60, 12), (120, 24)), 5e-5, 0.02, 0.005, "flat"),
+    "snapping_panel": Case(scenes.snapping_panel, ((8, 16), (16, 32), (32, 64), (64, 128)), 1e-3, 0.3, 0.15),
+    "flying_cylinder": Case(scenes.flying_cylinder, ((4, 32), (8, 64), (16, 128), (32, 256)), 0.02, 10.0, 2.0),
+}
+
+
+def shaped(scene: js.Scene, shape: str) -> js.Scene:
+    """The scene with elements of that shape."""
+    return dataclasses.replace(scene, section=dataclasses.replace(scene.section, shape=shape))
+
+
+def run(name: str, level: int, shape: str, inertia: str, folder: Path) -> tuple[np.ndarray, dict, dict]:
+    """(times, signals, what was seen) of a level, at the times of the first level's steps; from the file if it is there."""
+    case, path = CASES[name], folder / f"{name}_{level}_{shape}_{inertia}.npz"
+    if not path.is_file():
+        scene = shaped(case.make(case.meshes[level]), shape)
+        begun = time.perf_counter()
+        solution = js.simulate(
+            scene,
+            js.EnergyMomentum(inertia=inertia),
+            dt=case.dt / 2**level,
+            t_end=case.window,
+            save_every=2**level,
+            newton=NEWTON,
+        )
+        found = references.signals(scene, np.asarray(solution.displacements))
+        seen = {"elements": scene.mesh.n_elements, "seconds": time.perf_counter() - begun}
+        np.savez(path, times=np.asarray(solution.frame_times), **found, **{f"seen {k}": v for k, v in seen.items()})
+    with np.load(path) as stored:
+        seen = {k[5:]: float(stored[k]) for k in stored.files if k.startswith("seen ")}
+        named = {k: stored[k] for k in stored.files if k != "times" and not k.startswith("seen ")}
+        return stored["times"], named, seen
+
+
+def answer(name: str, levels: int, folder: Path) -> dict:
+    """Extrapolate, write the reference, and tell what was seen."""
+    case = CASES[name]
+    forms = [("flat", "linear"), (case.smooth, "cubic")]
+    found, plain, rows = {}, {}, []
+    times = np.zeros(0)
+    for form in forms:
+        runs = [run(name, level, *form, folder) for level in range(levels)]
+        times, plain[form] = runs[0][0], [signals for _, signals, _ in runs]
+        found[form] = [extrapolate(*plain[form][k : k + 2]) for k in range(levels - 1)]
+        rows += [(level, *form, seen) for level, (*_, seen) in enumerate(runs)]
+    mine, other = found[forms[1]], found[forms[0]]
+    apart = np.maximum(agreement(times, mine[-2], mine[-1]), agreement(times, other[-1], mine[-1]))
+    finest = "×".join(map(str, np.atleast_1d(case.meshes[levels - 1])))
+    origin = (
+        f"EnergyMomentum on {levels} meshes to {finest}, dt {case.dt:g} to {case.dt / 2 ** (levels - 1):g}, flat and "
+        f"{case.smooth} with cubic inertia, extrapolated; benchmarks/continuous.py, {time.strftime('%Y-%m-%d')}"
+    )
+    limit = Reference(times, mine[-1], float(apart[-1]), origin)
+    limits.write_limit(DATA, case.make(case.meshes[0]), limit, apart)
+    first = times <= case.first * (1 + 1e-9)
+
+    def errors(signals) -> list[float]:
+        parts = [{k: v[chosen] for k, v in signals.items()} for chosen in (first, slice(None))]
+        return [
+            _distance(part, limit.signals, chosen) for part, chosen in zip(parts, (first, slice(None)), strict=True)
+        ]
+
+    return {
+        "window": case.window,
+        "first_swing": case.first,
+        "uncertainty": {"first_swing": float(apart[first][-1]), "window": float(apart[-1])},
+        "sizes": {k: float(signal_size(k, v)) for k, v in limit.signals.items()},
+        "levels": [
+            {
+                "mesh": case.meshes[level],
+                "dt": case.dt / 2**level,
+                "shape": shape,
+                "inertia": inertia,
+                "errors": errors(plain[shape, inertia][level]),
+            }
+            | seen
+            for level, shape, inertia, seen in rows
+        ],
+    }
+
+
+def _distance(found: dict, limit: dict, chosen) -> float:
+    """The largest distance over the largest size in the whole window."""
+    return max(
+        float(np.linalg.norm(values - limit[k][chosen], axis=1).max() / signal_size(k, limit[k]))
+        for k, values in found.items()
+    )
+
+
+def report(found: dict) -> str:
+    """What is known, and how far each level is from it."""
+    rows = []
+    for name, seen in found.items():
+        known = seen["uncertainty"]
+        rows.append([f"`{name}`, known to", "", "", "", f"{known['first_swing']:.1e}", f"{known['window']:.1e}"])
+        for level in seen["levels"]:
+            mesh = "×".join(map(str, np.atleast_1d(level["mesh"])))
+            errors = [f"{100 * e:.2f} %" for e in level["errors"]]
+            rows.append(["", mesh, f"{level['dt']:.3g}", f"{level['shape']}, {level['inertia']}", *errors])
+    return table(["", "mesh", "dt", "discretisation", "first swing", "window"], rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", default=list(CASES), choices=list(CASES))
+    parser.add_argument("--levels", type=int, default=3, choices=(3, 4))
+    parser.add_argument("--runs", type=Path, default=HERE / "results" / "continuous_runs", help="where runs are kept")
+    options = parser.parse_args()
+    options.runs.mkdir(parents=True, exist_ok=True)
+    path = HERE / "results" / "continuous.json"
+    for name in options.scenes:
+        found = json.loads(path.read_text()) if path.is_file() else {}
+        found[name] = answer(name, options.levels, options.runs)
+        print(name, json.dumps(found[name]["uncertainty"]), flush=True)
+        found = {key: found[key] for key in CASES if key in found}
+        path.write_text(json.dumps(found, indent=1) + "\n")
+        fill(PAGE, {"continuous": report(found)})
+
+
+if __name__ == "__main__":
+    main()
