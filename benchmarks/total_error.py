@@ -110,8 +110,10 @@ def ours(name: str, reference: Reference) -> list[dict]:
         plain = SCENES[name](mesh)
         for form in PLANS[name].forms:
             scene = dataclasses.replace(plain, section=dataclasses.replace(plain.section, shape=form.shape))
-            explicit = isinstance(form.method, js.CentralDifference)
-            for dt in (form.method.critical_step(scene),) if explicit else PLANS[name].steps:
+            method, steps = form.method, PLANS[name].steps
+            if isinstance(method, js.CentralDifference):
+                steps = (method.critical_step(scene),)
+            for dt in steps:
                 tried = Configuration("total", form.label, form.method, dt)
                 run, seconds = timed(scene, tried, float(reference.times[-1]))
                 error = np.inf if run.message else references.run_error(reference, run)
