@@ -59,11 +59,12 @@ FORMS = (
     Form("exact", js.EnergyMomentum()),
     Form("generalised α", js.GeneralizedAlpha()),
     Form("central differences", js.CentralDifference()),
+    Form("central differences, scaled", js.CentralDifference(rotary="scaled")),
 )
 CURVED = (
     *FORMS,
     Form("exact, curved, cubic inertia", js.EnergyMomentum(inertia="cubic"), "curved"),
-    Form("central differences, curved", js.CentralDifference(), "curved"),
+    Form("central differences, scaled, curved", js.CentralDifference(rotary="scaled"), "curved"),
 )
 PLANE = (*FORMS, Form("exact, cubic inertia", js.EnergyMomentum(inertia="cubic")))
 

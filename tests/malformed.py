@@ -388,7 +388,7 @@ CALLS: dict[str, tuple[Callable, dict[str, Any]]] = {
     "Newmark": (js.Newmark, {"beta": 0.25, "gamma": 0.5}),
     "HHT": (js.HHT, {"alpha": -0.1}),
     "GeneralizedAlpha": (js.GeneralizedAlpha, {"spectral_radius": 0.8}),
-    "CentralDifference": (js.CentralDifference, {"safety": 0.9}),
+    "CentralDifference": (js.CentralDifference, {"safety": 0.9, "rotary": "scaled"}),
     "simulate": (_simulate, {"scene": SUPPORTED, "method": js.Newmark(), "dt": 0.1, "t_end": 1.0, "newton": js.Newton()}),
     "simulate, controlled": (_simulate, {"scene": SUPPORTED, "method": js.Newmark(), "dt": js.StepControl(1e-3, 0.1), "t_end": 1.0}),
     "simulate, steps": (_simulate, {"scene": SUPPORTED, "method": js.Newmark(), "dt": [0.1, 0.2]}),

@@ -344,6 +344,29 @@ def test_element_bound_lies_below_the_critical_step_of_the_strip(model, stiffnes
     assert 0.7 * exact < bound <= exact
 
 
+@pytest.mark.parametrize("rotary", ["physical", "scaled"])
+def test_scaled_rotary_inertia_is_where_the_bound_and_the_mass_say(model, stiffness, rotary):
+    """Of an element of area A at least ρhA/8; the bound holds with it too."""
+    method, scene = js.CentralDifference(safety=1.0, rotary=rotary), strip()
+    mass = np.asarray(lumped_mass(model, rotary))
+    area, surface, h = (np.asarray(a) for a in (model.elements.area, model.elements.mass_per_area, 0.02))
+    inertia = np.full(area.shape, h**2 / 12)
+    inertia = np.maximum(inertia, area / 8) if rotary == "scaled" else inertia
+    assert mass[:, 3:].sum() / 3 == pytest.approx((surface * area * inertia).sum(), rel=1e-12)
+    assert mass[:, :3].sum() / 3 == pytest.approx((surface * area).sum(), rel=1e-12)
+    omegas, _ = modes(stiffness, np.diag(mass.reshape(-1)))
+    assert method.critical_step(scene) <= 2.0 / omegas[-1]
+
+
+def test_scaled_rotary_inertia_takes_larger_steps_and_keeps_the_balance():
+    scaled, scene = js.CentralDifference(safety=1.0, rotary="scaled"), strip(force=(0.1, 0.1, 2.0))
+    critical = scaled.critical_step(scene)
+    assert critical > 1.5 * js.CentralDifference(safety=1.0).critical_step(scene)
+    solution = run(scene, scaled, 2000 * 0.99 * critical, 2000)
+    energy, work = np.asarray(solution.energy.total), np.asarray(solution.energy.external_work)
+    assert np.abs(energy - work).max() < 1e-2 * work.max()
+
+
 def test_central_difference_refuses_a_step_above_the_critical_and_runs_just_below():
     method, scene = js.CentralDifference(safety=1.0), strip(force=(0.1, 0.1, 2.0))
     critical = method.critical_step(scene)

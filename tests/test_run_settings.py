@@ -66,7 +66,7 @@ RUNS = {
     "controlled": COMMON | PAPER | CONTROL,
     "Newmark": COMMON | {"method": ("Newmark",), "beta": 0.3, "gamma": 0.6},
     "HHT": COMMON | {"method": ("HHT",), "alpha": -0.1},
-    "central": {"method": ("CentralDifference",), "safety": 0.5, "dt": 1e-5, "t_end": 3e-5},
+    "central": {"method": ("CentralDifference",), "safety": 0.5, "rotary": "scaled", "dt": 1e-5, "t_end": 3e-5},
 }
 
 SOLVED = {key: COMMON[key] for key in COMMON if key.startswith("newton_") or key in ("tangent", "linear_solver")}
@@ -205,6 +205,7 @@ def test_all_three_ask_for_the_same_run(name, asked, tmp_path):
         "gamma",
         "alpha",
         "safety",
+        "rotary",
     ):
         assert getattr(method, key, None) == settings.get(key)
     assert type(method).__name__ == settings["method"][0]

@@ -123,6 +123,9 @@ class RunSettings:
     gamma: float | None = _key("number", "Newmark's γ")
     alpha: float | None = _key("number", "HHT's α")
     safety: float | None = _key("number", "fraction of the critical step that central differences may take")
+    rotary: str | None = _key(
+        "choice", "rotary inertia of central differences; scaled takes larger steps", ("physical", "scaled")
+    )
     dt: float | None = _key("number", "time step (default: the scene's)")
     t_end: float | None = _key("number", "duration (default: the scene's)")
     save_every: int | None = _key("count", "steps between frames (default: the scene's)", metavar="N", of=_STEPPED)

@@ -6,7 +6,9 @@
 and the same for the angular velocity ω in space. A third of each element's ρhA and (ρh³/12)A goes to each of its
 nodes, and the nodal rotary inertia J is ISOTROPIC: the drilling rotation gets the ρh³/12 of the other two. So J
 needs no rotation and no gyroscopic term, J ω̇ = m; the price is a drilling oscillation of frequency of the order
-√(E/ρ)/h, which physics does not have and which sets the critical step of thin shells.
+√(E/ρ)/h, which physics does not have and which sets the critical step of thin shells. With rotary="scaled" the
+inertia is at least that of ρhA²/8, as explicit programs have it (Key & Beisinger; Hughes, The Finite Element Method,
+section 9.6): bending waves no longer than a few elements are slowed down, and the step is that of the membrane waves.
 
 Rayleigh damping: α M (v_{n-½} + v_{n+½})/2, which a diagonal mass leaves explicit, with a_n of the other forces:
 v_n = (v_{n-½} + Δt/2 a_n)/(1 + αΔt/2) and v_{n+½} = (1 - αΔt/2) v_n + Δt/2 a_n. The viscous stresses are those of the
@@ -31,18 +33,22 @@ from jaxshell.assembly.discretised import Model
 from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import Tables, nodal_tables
 from jaxshell.elements import corotational
+from jaxshell.elements.element import Element
 from jaxshell.methods import damping
 from jaxshell.methods.method import Method, Observation, StepInfo, may_have_first_moment
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import MovingState
 from jaxshell.model.contribution import Constraint
 from jaxshell.model.scene import Scene
-from jaxshell.numerics.checks import check_number, is_concrete
+from jaxshell.numerics.checks import check_choice, check_number, is_concrete
 from jaxshell.numerics.compiled import compiled
 from jaxshell.numerics.products import dot
 from jaxshell.numerics.rotations import exp
 from jaxshell.solvers.iteration import SUCCESSFUL, UNSTABLE
 
+ROTARY = ("physical", "scaled")
+_OF_AREA = 1 / 8
+"""Scaled rotary inertia over mass times area: below it the step of the element's bending is that of its membrane."""
 _EXPLOSION = 10.0
 """Unstable: energy this many times what the start and the loads have supplied. Growth is exponential then, so
 the factor decides on a few steps more or less only."""
@@ -92,24 +98,29 @@ class CentralDifference(Method):
 
     Arguments:
         safety: part of 2/ω_max that is allowed as a step; below 1 since ω_max changes as the shell deforms.
+        rotary: "physical", ρh³/12; or "scaled", ρh max(h²/12, A/8) with each element's area A, for larger steps. Its
+            excess goes to zero with the elements' size as their other errors do.
 
     `simulate` raises ValueError, naming the critical step, for a dt above it. A run whose energy exceeds
-    ten times the energy supplied ends with the result `unstable`. Raises ValueError unless 0 < safety <= 1.
+    ten times the energy supplied ends with the result `unstable`. Raises ValueError unless 0 < safety <= 1, and for
+    another rotary.
     """
 
     uses_matrix: ClassVar[bool] = False
     controls_step: ClassVar[bool] = False
 
     safety: float = eqx.field(static=True, default=0.9)
+    rotary: str = eqx.field(static=True, default="physical")
 
     def __check_init__(self):
+        check_choice("rotary", self.rotary, ROTARY)
         check_number("safety", self.safety)
         if not is_concrete(self.safety) or not 0.0 < self.safety <= 1.0:
             raise ValueError(f"safety must lie in (0, 1], but it is {self.safety}.")
 
     def critical_step(self, scene: Scene) -> float:
         """The largest step allowed [time]: safety · 2/ω_max about the initial state, by the element bound."""
-        return float(self.safety * _stable_step(scene, nodal_tables(structure_of(scene))))
+        return float(self.safety * _stable_step(scene, nodal_tables(structure_of(scene)), self.rotary))
 
     def check(self, scene: Scene, steps) -> None:
         if may_have_first_moment(scene):
@@ -131,11 +142,11 @@ class CentralDifference(Method):
     def start(self, model: Model, scene: Scene, time, solvers=None) -> ExplicitState:
         x, R, v, omega = initial_motion(model, scene)
         time, zero = jnp.asarray(time, float), jnp.zeros(())
-        mass, rates = lumped_mass(model), jnp.concatenate([v, omega], axis=1)
+        mass, rates = lumped_mass(model, self.rotary), jnp.concatenate([v, omega], axis=1)
         internal, strain, deformations = _internal(model, x, R, time)
         damped = None
         if model.dissipates:
-            damped = Damped(zero, _nodal_alpha(model, mass), deformations)
+            damped = Damped(zero, _nodal_alpha(model, mass, self.rotary), deformations)
         if model.resisting:
             internal = internal - model.resistance((x, R, time), (x, R, time), rates)
         if model.damping is not None and model.damping.beta is not None:
@@ -198,7 +209,7 @@ class CentralDifference(Method):
         if model.moving:
             against = 0.5 * (state.internal + internal - state.load - load) * u
             if model.damping is not None and model.damping.alpha is not None:
-                against = against + _lumped(model, model.damping.alpha) * u * u / dt
+                against = against + _lumped(model, self.rotary, model.damping.alpha) * u * u / dt
             carried = 0.5 * mass * (rates**2 - state.rates**2)
             work = work + jnp.sum((against + carried).reshape(-1)[held])
         # The velocity at the end already holds the second half of this step's kick, whose work follows.
@@ -216,7 +227,7 @@ class CentralDifference(Method):
             initial_energy=state.initial_energy,
             supplied=supplied,
             mass=mass,
-            damped=_damped(model, state, u, deformations, dt, taken),
+            damped=_damped(model, self.rotary, state, u, deformations, dt, taken),
         )
         # Written so that NaN fails too.
         stable = new.kinetic + strain <= _EXPLOSION * supplied
@@ -227,7 +238,7 @@ class CentralDifference(Method):
         """The mean of the step's two kicks."""
         forces = 0.5 * (before.internal + after.internal - before.load - after.load)
         if model.damping is not None and model.damping.alpha is not None:
-            forces = forces + 0.5 * _lumped(model, model.damping.alpha) * (before.rates + after.rates)
+            forces = forces + 0.5 * _lumped(model, self.rotary, model.damping.alpha) * (before.rates + after.rates)
         return before.mass * (after.rates - before.rates) / dt + forces
 
     def observe(self, model: Model, state: ExplicitState) -> Observation:
@@ -239,9 +250,9 @@ class CentralDifference(Method):
         return Observation(state.kinetic, state.strain, state.external_work, dissipated, linear, angular)
 
 
-def lumped_mass(model: Model) -> Float[Array, "n 6"]:
-    """A third of each element's mass and of its (ρh³/12)A at each of its nodes, and point masses."""
-    found = _lumped(model, None)
+def lumped_mass(model: Model, rotary: str = "physical") -> Float[Array, "n 6"]:
+    """A third of each element's mass and of its rotary inertia at each of its nodes, and point masses."""
+    found = _lumped(model, rotary, None)
     if model.lumps is None:
         return found
     ball = model.lumps.inertia[:, 0, 0]
@@ -249,10 +260,17 @@ def lumped_mass(model: Model) -> Float[Array, "n 6"]:
     return found.at[model.lumps.at].add(jnp.repeat(own, 3, axis=1))
 
 
-def _lumped(model: Model, factors: Float[Array, " m"] | None) -> Float[Array, "n 6"]:
+def _thirds(elements: Element, rotary: str) -> Float[Array, "... 2"]:
+    """Mass and rotary inertia that an element, or each of several, gives to each of its nodes."""
+    inertia = elements.rotary_inertia
+    if rotary == "scaled":
+        inertia = jnp.maximum(inertia, _OF_AREA * elements.mass_per_area * elements.area)
+    return jnp.stack([elements.mass_per_area, inertia], axis=-1) * elements.area[..., None] / 3.0
+
+
+def _lumped(model: Model, rotary: str, factors: Float[Array, " m"] | None) -> Float[Array, "n 6"]:
     """`lumped_mass` with the elements' masses times these factors."""
-    elements = model.elements
-    third = jnp.stack([elements.mass_per_area, elements.rotary_inertia], axis=1) * elements.area[:, None] / 3.0
+    third = _thirds(model.elements, rotary)
     if factors is not None:
         third = third * factors[:, None]
     corner = jnp.broadcast_to(third[:, None, :, None], (third.shape[0], 3, 2, 3))
@@ -304,15 +322,15 @@ def _internal(model: Model, x, R, time, before=None, dt=None) -> tuple[Float[Arr
     return total, energy, deformations
 
 
-def _nodal_alpha(model: Model, mass: Float[Array, "n 6"]) -> Float[Array, "n 6"] | None:
+def _nodal_alpha(model: Model, mass: Float[Array, "n 6"], rotary: str) -> Float[Array, "n 6"] | None:
     """α of each degree of freedom that is free, from the lumped masses of the elements around its node."""
     if model.damping is None or model.damping.alpha is None:
         return None
-    ratio = _lumped(model, model.damping.alpha) / mass
+    ratio = _lumped(model, rotary, model.damping.alpha) / mass
     return ratio.reshape(-1).at[model.tables.held].set(0.0).reshape(-1, 6)
 
 
-def _damped(model: Model, state: ExplicitState, u, deformations, dt, taken) -> Damped | None:
+def _damped(model: Model, rotary: str, state: ExplicitState, u, deformations, dt, taken) -> Damped | None:
     """The state of damping after a step with the increments u, with what it and contributions have removed."""
     if state.damped is None:
         return None
@@ -323,7 +341,7 @@ def _damped(model: Model, state: ExplicitState, u, deformations, dt, taken) -> D
         return Damped(removed, None, None)
     alpha, beta = model.damping
     if alpha is not None:
-        removed = removed + jnp.sum(_lumped(model, alpha) * u * u) / dt
+        removed = removed + jnp.sum(_lumped(model, rotary, alpha) * u * u) / dt
     if beta is not None:
         change = deformations - state.damped.deformations
         squares = jax.vmap(lambda e, element: dot(e, corotational.stresses(e, element)))(change, model.elements)
@@ -332,7 +350,7 @@ def _damped(model: Model, state: ExplicitState, u, deformations, dt, taken) -> D
 
 
 @compiled
-def _stable_step(scene: Scene, tables: Tables) -> Float[Array, ""]:
+def _stable_step(scene: Scene, tables: Tables, rotary: str) -> Float[Array, ""]:
     """2/ω_max, ω_max the largest frequency of an element of the initial state with its own lumped mass.
 
     With viscous elements the smallest of their own √(β² + 4/ω²) - β, the bound at the top of this file.
@@ -342,14 +360,14 @@ def _stable_step(scene: Scene, tables: Tables) -> Float[Array, ""]:
 
     def largest(x, R, element):
         K = corotational.tangent_stiffness(x, R, element)
-        third = element.area / 3.0 * jnp.stack([element.mass_per_area, element.rotary_inertia])
+        third = _thirds(element, rotary)
         scale = jnp.tile(jnp.repeat(1.0 / jnp.sqrt(third), 3), 3)
         return jnp.linalg.eigvalsh(0.5 * (K + K.T) * scale[:, None] * scale[None, :])[-1]
 
     squares = jax.vmap(largest)(model.gather(x), model.gather(R), model.elements_at((1.0, 0.0)))
     beta = None if model.damping is None else model.damping.beta
     if model.elastic or model.resisting:
-        stiff, lagging = _of_contributions(model, x, R)
+        stiff, lagging = _of_contributions(model, rotary, x, R)
         squares = squares + stiff
         lagging = lagging if beta is None else lagging + beta * squares
         return jnp.min((jnp.sqrt(4.0 * squares + lagging**2) - lagging) / squares)
@@ -358,12 +376,12 @@ def _stable_step(scene: Scene, tables: Tables) -> Float[Array, ""]:
     return 2.0 / jnp.sqrt(jnp.max(squares))
 
 
-def _of_contributions(model: Model, x, R) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def _of_contributions(model: Model, rotary: str, x, R) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Bounds of the eigenvalues of M⁻¹K and M⁻¹C of connectors and the like at the start, by Gershgorin's circles.
 
     The eigenvalues of a sum are no more than the sums of the largest.
     """
-    place, scale = (x, R, jnp.zeros(())), 1.0 / jnp.sqrt(lumped_mass(model))
+    place, scale = (x, R, jnp.zeros(())), 1.0 / jnp.sqrt(lumped_mass(model, rotary))
 
     def largest(matrices):
         rows = jnp.zeros_like(scale)
