@@ -73,8 +73,9 @@ def free_plate(divisions: tuple[int, int] = (15, 3), loads: Sequence[Load] | Non
     ASSUMPTION. The paper shows where its loads act only in a figure, and f(t), eq. (106), rising to 4e4 at
     2 ms and falling to zero at 4 ms, would crumple the plate as a nodal force. Here f(t) is a line load in
     N/m: 0.8 f along +x and +z on the short edge x = 0; 0.4 f along -z on the short edge x = 0.3 m; and on
-    the far part of the short edges (y ≥ 0.02 m, or the row nearest to it: rows in threes are of one problem)
-    once more 0.4 f, along +z at x = 0 and -z at x = 0.3 m, which twists. The plate bends, twists and flies off with linear and angular momentum.
+    the far part of the short edges, y ≥ 0.02 m, once more 0.4 f, along +z at x = 0 and -z at x = 0.3 m, which
+    twists; an edge across y = 0.02 m has as much less per length. The plate bends, twists and flies off with linear
+    and angular momentum.
     `loads` replaces all of it.
     """
     columns, rows = counts("free_plate", divisions, (1, 1))
@@ -85,12 +86,14 @@ def free_plate(divisions: tuple[int, int] = (15, 3), loads: Sequence[Load] | Non
     if loads is None:
         pulse = History([0.0, 0.002, 0.004], [0.0, 4e4, 0.0])
         left, right = np.flatnonzero(x == 0), np.flatnonzero(x == 1)
-        far = round(2 * rows / 3)
+        covered = np.clip(np.arange(1, rows + 1) - rows / 3, 0, 1)  # part of every edge beyond y = 0.02 m
+        covered = covered[covered > 1e-9]
+        twist, far = 0.4 * covered[:, None] * [0.0, 0.0, 1.0], len(covered) + 1
         loads = (
             EdgeForce(chain(left), [0.8, 0.0, 0.8], pulse),
             EdgeForce(chain(right), [0.0, 0.0, -0.4], pulse),
-            EdgeForce(chain(left[-far - 1 :]), [0.0, 0.0, 0.4], pulse),
-            EdgeForce(chain(right[-far - 1 :]), [0.0, 0.0, -0.4], pulse),
+            EdgeForce(chain(left[-far:]), twist, pulse),
+            EdgeForce(chain(right[-far:]), -twist, pulse),
         )
     return Scene(
         mesh,
