@@ -75,6 +75,7 @@ if TYPE_CHECKING:
     from jaxshell.results.export.vtkhdf import VTKHDFWriter
     from jaxshell.results.failure import Strengths, failure_index, failure_index_of, ks
     from jaxshell.results.mass_properties import MassProperties, mass_properties
+    from jaxshell.results.mesh_errors import MeshErrors, mesh_errors, mesh_errors_of
     from jaxshell.results.output import Output
     from jaxshell.results.penetration import Penetration, penetration
     from jaxshell.results.section_forces import (
@@ -134,6 +135,7 @@ __all__ = [
     "Laminate",
     "MassProperties",
     "Mesh",
+    "MeshErrors",
     "Modes",
     "Momentum",
     "Newmark",
@@ -183,6 +185,8 @@ __all__ = [
     "ks",
     "linear_buckling",
     "mass_properties",
+    "mesh_errors",
+    "mesh_errors_of",
     "methods",
     "natural_frequencies",
     "nodal",
@@ -258,6 +262,7 @@ _HOMES = {
     "numerics.plane_stress": ["principal", "von_mises"],
     "results.failure": ["Strengths", "failure_index", "failure_index_of", "ks"],
     "results.mass_properties": ["MassProperties", "mass_properties"],
+    "results.mesh_errors": ["MeshErrors", "mesh_errors", "mesh_errors_of"],
     "results.penetration": ["Penetration", "penetration"],
     "results.section_forces": [
         "SectionForces",
