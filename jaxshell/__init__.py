@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from jaxshell.analyses.arc_length import solve_arc_length
     from jaxshell.analyses.driver import SimulationError
     from jaxshell.analyses.modal import BucklingModes, Modes, linear_buckling, natural_frequencies
+    from jaxshell.analyses.richardson import Estimate, Richardson, richardson
     from jaxshell.analyses.settle import settle
     from jaxshell.analyses.simulation import simulate
     from jaxshell.analyses.statics import reactions, solve_static
@@ -119,6 +120,7 @@ __all__ = [
     "ElasticSupport",
     "Energy",
     "EnergyMomentum",
+    "Estimate",
     "FlatSurface",
     "FollowerEdgeForce",
     "FollowerForce",
@@ -153,6 +155,7 @@ __all__ = [
     "Pressure",
     "RandomField",
     "RayleighDamping",
+    "Richardson",
     "RigidBar",
     "RigidBody",
     "Scene",
@@ -197,6 +200,7 @@ __all__ = [
     "reactions",
     "read_model",
     "refine",
+    "richardson",
     "scenes",
     "section_forces",
     "section_forces_of",
@@ -281,6 +285,7 @@ _HOMES = {
     "plotting": ["plotting"],
     "scenes": ["scenes"],
     "model.sections": ["Cylindrical", "GeneralSection", "Laminate", "Ply", "Section"],
+    "analyses.richardson": ["Estimate", "Richardson", "richardson"],
     "analyses.settle": ["settle"],
     "analyses.simulation": ["simulate"],
     "results.sweep": ["Sweep"],

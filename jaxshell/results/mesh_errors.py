@@ -8,8 +8,9 @@ where σ are the section forces of the solution and σ* the recovered ones: the 
 in every element, smooth within smooth patches and regions, with their jumps at folds and between sections. Both are
 linear in an element, so that the rule of the three mid-edges integrates the energy exactly, and the strain energy
 ½ ∫ σᵀ C⁻¹ σ dA is the element's own. Membrane forces enter as they are, with the higher-order part that follows the
-drilling rotations: where bending locks in it, as on a pinched hemisphere, it is most of the error. Source: O. C. Zienkiewicz & J. Z. Zhu, "A simple error estimator and adaptive
-procedure for practical engineering analysis", Int. J. Numer. Methods Eng. 24 (1987) 337-357.
+drilling rotations: where bending locks in it, as on a pinched hemisphere, it is most of the error. Source: O. C.
+Zienkiewicz & J. Z. Zhu, "A simple error estimator and adaptive procedure for practical engineering analysis", Int. J.
+Numer. Methods Eng. 24 (1987) 337-357.
 """
 
 import equinox as eqx
