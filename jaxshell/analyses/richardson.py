@@ -5,7 +5,7 @@ An analysis is a function of a scene. It runs on a family of meshes, and whateve
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +18,7 @@ from jaxshell.results.solution import Solution
 from jaxshell.scenes import default_divisions
 
 Times = Float[np.ndarray, " k"]
+Family = Scene | Sequence[Scene] | Callable[..., Scene]
 _SAME = 1e-9
 """Times are one that differ by less than this fraction of the run."""
 _FEWEST = 4
@@ -57,7 +58,7 @@ class Richardson(NamedTuple):
 
 
 def richardson(
-    family: Scene | Sequence[Scene] | Callable[..., Scene],
+    family: Family,
     analysis: Callable[[Scene], Any],
     *,
     coarser: int = 1,
@@ -103,31 +104,33 @@ def richardson(
     return Richardson(counts, level, mesh, step, times)
 
 
-def _levels(family: Any, coarser: int, finer: int) -> tuple[list[Scene], int]:
+def _levels(family: Family, coarser: int, finer: int) -> tuple[list[Scene], int]:
     """The scenes, coarse to fine, and which is the scene itself."""
-    if not callable(family) and not isinstance(family, Scene):
-        check_kind("family", family, list | tuple, "a jaxshell.Scene, a function that makes one, or a list of scenes")
-        for scene in family:
-            check_kind("a member of the family", scene, Scene, "a jaxshell.Scene")
-        counts = [scene.mesh.n_elements for scene in family]
-        if len(counts) < 2 or np.any(np.diff(counts) <= 0):
-            raise ValueError(
-                f"family must be two scenes or more, from coarse to fine, but they have {counts} triangles."
-            )
-        return cast(list[Scene], [*family]), len(family) - 1
+    if isinstance(family, Sequence) or not (callable(family) or isinstance(family, Scene)):
+        return _stated(family), len(family) - 1
     check_count("coarser", coarser, least=0)
     check_count("finer", finer, least=0)
     if coarser + finer == 0:
         raise ValueError("coarser and finer are both 0: one mesh alone says nothing of its error.")
     if not isinstance(family, Scene):
-        divisions = _divisions(family, coarser, finer)
-        return [family(divisions=each) for each in divisions], coarser
+        return [family(divisions=each) for each in _divisions(family, coarser, finer)], coarser
     scenes = [family]
     for _ in range(coarser):
         scenes.insert(0, coarsen(scenes[0]))
     for _ in range(finer):
         scenes.append(refine(scenes[-1]))
     return scenes, coarser
+
+
+def _stated(family) -> list[Scene]:
+    """Scenes from coarse to fine. Raises ValueError for others."""
+    check_kind("family", family, list | tuple, "a jaxshell.Scene, a function that makes one, or a list of scenes")
+    for scene in family:
+        check_kind("a member of the family", scene, Scene, "a jaxshell.Scene")
+    counts = [scene.mesh.n_elements for scene in family]
+    if len(counts) < 2 or np.any(np.diff(counts) <= 0):
+        raise ValueError(f"family must be two scenes or more, from coarse to fine, but they have {counts} triangles.")
+    return list(family)
 
 
 def _divisions(make: Callable, coarser: int, finer: int) -> list:

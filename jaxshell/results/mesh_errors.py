@@ -93,9 +93,19 @@ def mesh_errors_of(
     return _errors(scene, given_shape(scene, displacements, rotations, time, static), angle, patches)
 
 
-def _errors(scene: Scene, shape: Shape, angle: float, patches: Patches | None) -> MeshErrors:
+def check_has_error(scene: Scene) -> None:
+    """Raise ValueError for a scene without elements."""
     if not scene.mesh.n_elements:
         raise ValueError("The scene has no elements, and so its mesh has no error.")
+
+
+def local_in_shape(scene: Scene, shape: Shape, labels: Frozen) -> Float[Array, " m"]:
+    """`MeshErrors.local` of one shape, with the labels of `jaxshell.smooth_patches`."""
+    return MeshErrors(*_energies(scene, shape, labels)).local
+
+
+def _errors(scene: Scene, shape: Shape, angle: float, patches: Patches | None) -> MeshErrors:
+    check_has_error(scene)
     patches = smooth_patches(scene, angle) if patches is None else patches
     energy, strain_energy, area = over_frames(_energies, scene, shape, patches.labels)
     return MeshErrors(energy, strain_energy, area if area.ndim == 1 else area[0])
