@@ -1,7 +1,9 @@
 """Richardson's extrapolation: exact on powers of the size, silent outside the asymptotic range, and on shells."""
 
+import equinox as eqx
 import numpy as np
 import pytest
+from synthetic import synthetic_solution
 
 import jaxshell as js
 from jaxshell.advice import references
@@ -131,7 +133,7 @@ def test_half_the_step_gives_the_steps_error():
 
     found = js.richardson(bowl(), run(0.1), half_step=run(0.05), coarser=0)
     assert found.step_error("value") == pytest.approx(0.1**2)
-    assert "; step error 1 %" in found.line("value")
+    assert found.words("value").endswith(", by two meshes; step error 1 %")
 
 
 @pytest.mark.parametrize(
@@ -153,38 +155,47 @@ def test_what_says_nothing_is_refused(call, why):
 # --- runs -------------------------------------------------------------------------------------------------
 
 
-def cantilever(divisions):
+def strip(divisions):
     mesh = generators.rectangle(1.0, 0.5, divisions)
-    edge = js.clamped(mesh.nodes_where(lambda x: x[0] < 1e-9))
-    load = js.Gravity([0, 0, -1.0])
-    tip = int(np.argmax(np.asarray(mesh.nodes) @ [1.0, 1.0, 0.0]))
-    return js.Scene(mesh, js.Section(0.05, 1e4, 0.3, 1.0), [edge], [load], watch={"tip": (tip, "uz")})
+    return js.Scene(mesh, js.Section(0.05, 1e4, 0.3, 1.0), watch={"tip": (mesh.n_nodes - 1, "uz")})
 
 
-@pytest.fixture(scope="module")
-def explicit():
-    """Runs of an explicit method on three meshes, and with half the step."""
+def made_up(steps):
+    """An analysis whose watched history is off by 1/m of the mesh, and by 0.1/steps² of the step."""
 
-    def run(dt):
-        return lambda scene: js.simulate(scene, js.CentralDifference(), dt=dt, t_end=0.02, save_every=1000)
+    def analysis(scene):
+        solution = synthetic_solution(scene, steps)
+        off = 1 / scene.mesh.n_elements + 0.1 / steps**2
+        return eqx.tree_at(lambda s: s.watched, solution, {"tip": (1 + off) * solution.watched["tip"]})
 
-    scenes = [cantilever((2 * n, n)) for n in (1, 2)]
-    return js.richardson(scenes, run(2e-4), half_step=run(1e-4))
-
-
-def test_watched_histories_are_compared_at_the_times_that_runs_share(explicit):
-    assert len(explicit.times) == 101 and explicit.times[-1] == pytest.approx(0.02)
-    assert explicit.mesh["tip"].values.shape == (2, 101)
-    assert explicit.step["tip"].values.shape == (2, 101)  # of the 201 those that both have
-    assert explicit.step_error("tip") < 1e-2 * explicit.error("tip")
+    return analysis
 
 
-def test_runs_that_share_no_times_are_refused(explicit):
-    scene = cantilever((2, 1))
-    calls = iter([2e-4, 1.7e-4])
+def test_watched_histories_are_compared_at_the_times_that_runs_share():
+    found = js.richardson([strip((2, 1)), strip((4, 2))], made_up(12), half_step=made_up(24))
+    assert found.times.tolist() == pytest.approx(np.linspace(0, 1, 13))
+    assert found.mesh["tip"].values.shape == found.step["tip"].values.shape == (2, 13)
+    assert found.error("tip") == pytest.approx(1 / 16 / (1 + 0.1 / 144))
+    assert found.step_error("tip") == pytest.approx(0.1 / 144 / (1 + 1 / 16))
 
-    def run(scene):
-        return js.simulate(scene, js.CentralDifference(), dt=next(calls), t_end=6e-4, save_every=1000)
 
-    with pytest.raises(ValueError, match="times in common"):
-        js.richardson([scene, cantilever((4, 2))], run)
+def test_runs_that_share_no_times_are_refused():
+    steps = iter([12, 17])
+    with pytest.raises(ValueError, match="2 times in common: give all of them the same dt"):
+        js.richardson([strip((2, 1)), strip((4, 2))], lambda scene: made_up(next(steps))(scene))
+
+
+def test_a_run_that_failed_and_one_that_watches_nothing_are_refused():
+    def failed(scene):
+        return eqx.tree_at(lambda s: s.result, _with_message(made_up(12)(scene)), js.RESULTS.diverged)
+
+    with pytest.raises(ValueError, match="The run on the mesh of 4 triangles failed: Step 3"):
+        js.richardson([strip((2, 1)), strip((4, 2))], failed)
+    bare = js.Scene(strip((2, 1)).mesh, js.Section(0.05, 1e4, 0.3, 1.0))
+    with pytest.raises(ValueError, match="watches nothing"):
+        js.richardson(bare, synthetic_solution, coarser=0)
+
+
+def _with_message(solution):
+    object.__setattr__(solution, "message", "Step 3 diverged.")
+    return solution

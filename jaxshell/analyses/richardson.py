@@ -49,11 +49,12 @@ class Richardson(NamedTuple):
 
     def __str__(self) -> str:
         meshes = ", ".join(str(count) for count in self.elements)
-        return "\n".join([f"meshes of {meshes} triangles", *(self.line(name) for name in self.mesh)])
+        lines = (f"{name}: {self.words(name)}" for name in self.mesh)
+        return "\n".join([f"meshes of {meshes} triangles", *lines])
 
-    def line(self, name: str) -> str:
+    def words(self, name: str) -> str:
         """A quantity's errors in words."""
-        words = f"{name}: {told(self.mesh[name], self.level)}"
+        words = told(self.mesh[name], self.level)
         return words if self.step is None else f"{words}; step error {percent(self.step_error(name))}"
 
 
@@ -181,7 +182,7 @@ def _same_shape(name: str, arrays: Sequence[np.ndarray]) -> None:
         raise ValueError(f"{name} must have one shape on all meshes, but it has {', '.join(map(str, shapes))}.")
 
 
-def _shared(times: Sequence[Times]) -> tuple[Times, list[np.ndarray]]:
+def _shared(times: Sequence[np.ndarray]) -> tuple[Times, list[np.ndarray]]:
     """The times that all runs have, and where each has them."""
     tolerance = _SAME * max(1e-300, float(np.abs(times[0]).max(initial=0.0)))
     shared = times[0]

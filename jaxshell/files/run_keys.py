@@ -154,7 +154,7 @@ class RunSettings:
     step_horizon: float | None = _key("number", "until when errors count under step control (default: the end)")
     errors: bool | None = _key(
         "switch",
-        "estimate the errors of mesh and step afterwards, by another mesh, half the step and recovered section forces "
+        "estimate the errors of mesh and step afterwards, by other meshes, half the step and recovered section forces "
         "(docs/errors.md; default: no)",
         of=("time", "static", "modes", "buckling"),
     )
