@@ -125,8 +125,8 @@ def stiffness(shape: str):
     return jax.jit(jax.vmap(one, in_axes=(0, 0, None, None, None)))
 
 
-def deflection(scene: js.Scene, normals, matrices) -> float:
-    """The first deflection that the scene watches under its loads, if all were linear; by SciPy's sparse solver."""
+def linear_displacements(scene: js.Scene, normals, matrices) -> np.ndarray:
+    """(n, 6) displacements and rotations under the scene's loads, if all were linear; by SciPy's sparse solver."""
     mesh, section = scene.mesh, scene.section
     nodes, triangles = np.asarray(mesh.nodes), mesh.triangles
     values = [float(value) for value in (section.thickness, section.young_modulus, section.poisson_ratio)]
@@ -139,8 +139,19 @@ def deflection(scene: js.Scene, normals, matrices) -> float:
     free = np.setdiff1d(np.arange(size), scene.held_dofs)
     u = np.zeros(size)
     u[free] = spsolve(K[free][:, free], np.asarray(loads).ravel()[free])
+    return u.reshape(-1, 6)
+
+
+def normals_of(scene: js.Scene) -> np.ndarray:
+    """(m, 3, 3) normals at the elements' corners."""
+    edges = Edges(scene.mesh.triangles)
+    return np.asarray(jax.jit(lambda x: corner_normals(x, edges).normals)(scene.mesh.nodes))
+
+
+def watched(scene: js.Scene, displacements: np.ndarray) -> float:
+    """The first deflection that the scene watches."""
     _, node, component = scene.watch[0]
-    return abs(u[6 * node + ("ux", "uy", "uz").index(component)])
+    return abs(displacements[node, ("ux", "uy", "uz").index(component)])
 
 
 def statics() -> str:
@@ -148,9 +159,9 @@ def statics() -> str:
     rows, makers = [], {shape: stiffness(shape) for shape in SHAPES}
     for name, limit, meshes in static_cases():
         for mesh, scene in meshes:
-            edges = Edges(scene.mesh.triangles)
-            normals = np.asarray(jax.jit(lambda x, edges=edges: corner_normals(x, edges).normals)(scene.mesh.nodes))
-            errors = [deflection(scene, normals, makers[shape]) / limit - 1 for shape in SHAPES]
+            normals = normals_of(scene)
+            found = [watched(scene, linear_displacements(scene, normals, makers[shape])) for shape in SHAPES]
+            errors = [value / limit - 1 for value in found]
             rows.append([name, "×".join(map(str, mesh)), *(f"{100 * e:+.2f}" for e in errors)])
             print(*rows[-1], flush=True)
     return table(["", "mesh", *SHAPES], rows)

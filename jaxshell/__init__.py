@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from jaxshell.analyses.arc_length import solve_arc_length
     from jaxshell.analyses.driver import SimulationError
     from jaxshell.analyses.modal import BucklingModes, Modes, linear_buckling, natural_frequencies
+    from jaxshell.analyses.richardson import Estimate, Richardson, richardson
     from jaxshell.analyses.settle import settle
     from jaxshell.analyses.simulation import simulate
     from jaxshell.analyses.statics import reactions, solve_static
@@ -75,6 +76,7 @@ if TYPE_CHECKING:
     from jaxshell.results.export.vtkhdf import VTKHDFWriter
     from jaxshell.results.failure import Strengths, failure_index, failure_index_of, ks
     from jaxshell.results.mass_properties import MassProperties, mass_properties
+    from jaxshell.results.mesh_errors import MeshErrors, mesh_errors, mesh_errors_of
     from jaxshell.results.output import Output
     from jaxshell.results.penetration import Penetration, penetration
     from jaxshell.results.section_forces import (
@@ -118,6 +120,7 @@ __all__ = [
     "ElasticSupport",
     "Energy",
     "EnergyMomentum",
+    "Estimate",
     "FlatSurface",
     "FollowerEdgeForce",
     "FollowerForce",
@@ -134,6 +137,7 @@ __all__ = [
     "Laminate",
     "MassProperties",
     "Mesh",
+    "MeshErrors",
     "Modes",
     "Momentum",
     "Newmark",
@@ -151,6 +155,7 @@ __all__ = [
     "Pressure",
     "RandomField",
     "RayleighDamping",
+    "Richardson",
     "RigidBar",
     "RigidBody",
     "Scene",
@@ -183,6 +188,8 @@ __all__ = [
     "ks",
     "linear_buckling",
     "mass_properties",
+    "mesh_errors",
+    "mesh_errors_of",
     "methods",
     "natural_frequencies",
     "nodal",
@@ -193,6 +200,7 @@ __all__ = [
     "reactions",
     "read_model",
     "refine",
+    "richardson",
     "scenes",
     "section_forces",
     "section_forces_of",
@@ -258,6 +266,7 @@ _HOMES = {
     "numerics.plane_stress": ["principal", "von_mises"],
     "results.failure": ["Strengths", "failure_index", "failure_index_of", "ks"],
     "results.mass_properties": ["MassProperties", "mass_properties"],
+    "results.mesh_errors": ["MeshErrors", "mesh_errors", "mesh_errors_of"],
     "results.penetration": ["Penetration", "penetration"],
     "results.section_forces": [
         "SectionForces",
@@ -276,6 +285,7 @@ _HOMES = {
     "plotting": ["plotting"],
     "scenes": ["scenes"],
     "model.sections": ["Cylindrical", "GeneralSection", "Laminate", "Ply", "Section"],
+    "analyses.richardson": ["Estimate", "Richardson", "richardson"],
     "analyses.settle": ["settle"],
     "analyses.simulation": ["simulate"],
     "results.sweep": ["Sweep"],

@@ -75,7 +75,7 @@ ANALYSES = {
     "static in steps": SOLVED | {"analysis": "static", "load_steps": 4, "picture_times": (0.0, 0.5)},
     "arc-length": SOLVED | {"arc_length": 0.1, "max_steps": 7, "max_load_factor": 3.0},
     "modes": {"count": 4, "rigid_modes": False, "preload": 0.5, "inertia": "cubic"},
-    "buckling": {"count": 2},
+    "buckling": {"count": 2, "errors": True},
 }
 ANALYSES = {name: {"analysis": name, **settings} for name, settings in ANALYSES.items()}
 

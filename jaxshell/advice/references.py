@@ -25,6 +25,7 @@ from scipy.interpolate import CubicSpline
 from jaxshell.model.loads import DeadLoad
 from jaxshell.model.mesh_checks import triangle_areas
 from jaxshell.model.scene import Scene
+from jaxshell.numerics.extrapolation import extrapolated
 from jaxshell.results.solution import Solution
 
 Signals = Mapping[str, Float[np.ndarray, "k q"]]
@@ -103,8 +104,7 @@ def signal_size(name: str, values: Float[np.ndarray, "k q"]) -> float:
 
 def extrapolate(coarse: Signals, fine: Signals, order: int = 2) -> dict[str, Float[np.ndarray, "k q"]]:
     """Richardson's extrapolation of two runs, the step halved."""
-    factor = 2**order
-    return {name: (factor * fine[name] - coarse[name]) / (factor - 1) for name in fine}
+    return {name: extrapolated(coarse[name], fine[name], order) for name in fine}
 
 
 def agreement(times, one: Signals, other: Signals) -> Float[np.ndarray, " k"]:

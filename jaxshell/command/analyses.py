@@ -92,8 +92,25 @@ def _equilibria(options, settings: RunSettings, scene, path: Path, say) -> tuple
     failed = not bool(solution.result == RESULTS.successful)
     if failed:
         print(f"jaxshell: {settings.analysis} failed. {solution.message}", file=sys.stderr)
+    elif settings.errors:
+        _say_errors(scene, solution, lambda other: solve(other, **asked, throw=False), say)
     runs = {NAMES[str(settings.analysis)]: solution}
-    return int(failed), lambda folder, stem: plot(runs, folder, stem)
+    return int(failed), lambda folder, stem: plot(runs, folder, stem, contours_of(settings, scene))
+
+
+def contours_of(settings: RunSettings, scene) -> tuple[str, ...]:
+    """What shapes are coloured by besides, where errors are asked for."""
+    from jaxshell.command.errors import CONTOUR
+
+    return (CONTOUR,) if settings.errors and scene.mesh.n_elements else ()
+
+
+def _say_errors(scene, found, again: Callable, say) -> None:
+    """Of the mesh; these analyses have no step that errs."""
+    from jaxshell.command.errors import describe_errors
+
+    for line in describe_errors(scene, found, again, None, say):
+        say(line)
 
 
 def _eigenmodes(options, settings: RunSettings, scene, path: Path, say) -> tuple[int, Callable]:
@@ -114,6 +131,13 @@ def _eigenmodes(options, settings: RunSettings, scene, path: Path, say) -> tuple
         seconds = time.perf_counter() - begun
         file.write(found, dataclasses.replace(settings, count=count).said(), {"wall_time": seconds})
     say(describe_modes(found, seconds, path))
+    if settings.errors:
+
+        def values(scene, known=None) -> dict[str, Any]:
+            numbers = _found(settings, scene, count)[0] if known is None else known
+            return {f"mode {k}": value for k, value in enumerate(numbers, 1)}
+
+        _say_errors(scene, values(scene, found.values), values, say)
     return 0, lambda folder, stem: plot_modes(found, folder, stem)
 
 

@@ -17,8 +17,8 @@ def add(commands) -> None:
         action="append",
         default=[],
         metavar="WHAT",
-        help='colour the shapes by velocity, a stress or a section force: "von mises top", "sxx bottom", "Mxx"; may be '
-        "repeated",
+        help='colour the shapes by velocity, the mesh\'s error, a stress or a section force: "mesh error", '
+        '"von mises top", "sxx bottom", "Mxx"; may be repeated',
     )
     add_renderer(plot)
 

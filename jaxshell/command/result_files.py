@@ -20,7 +20,8 @@ def add_field(command: argparse.ArgumentParser) -> None:
         "--field",
         default="displacement",
         metavar="WHAT",
-        help='what colours the shapes: displacement (the default), velocity, "von mises top", "sxx bottom", "Mxx", ...',
+        help='what colours the shapes: displacement (the default), velocity, "mesh error", "von mises top", '
+        '"sxx bottom", "Mxx", ...',
     )
 
 

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from jaxshell.command.analyses import run_analysis
+from jaxshell.command.analyses import contours_of, run_analysis
 from jaxshell.command.outputs import outputs, say_besides
 from jaxshell.command.run_settings import (
     arguments_of_simulate,
@@ -81,6 +81,8 @@ def _run_in_time(options: argparse.Namespace, settings, scene, stem: str) -> int
     from jaxshell.results.solution import RESULTS
 
     restart = None
+    if options.go_on and settings.errors:
+        raise ValueError("errors are those of a whole run: leave --continue out, or say --no-errors.")
     if options.go_on:
         restart, stem = solution_to_go_on_from(options), f"{Path(options.scene).stem}_continued"
     methods, arguments = chosen_methods(settings, scene), arguments_of_simulate(settings)
@@ -113,18 +115,32 @@ def _run_in_time(options: argparse.Namespace, settings, scene, stem: str) -> int
         if not bool(solution.result == RESULTS.successful):
             failed.append(label)
             print(f"jaxshell: {label} failed. {solution.message}", file=sys.stderr)
+        elif settings.errors:
+            _say_errors(solution, method, t_end, arguments, say)
     if not options.no_plots:
-        _draw(solutions, restart, options.output, stem, say)
+        _draw(solutions, restart, options.output, stem, say, contours_of(settings, scene))
     return 1 if failed else 0
 
 
-def _draw(solutions: dict, restart, folder: Path, stem: str, say) -> None:
+def _say_errors(solution, method, t_end: float, arguments: dict, say) -> None:
+    from jaxshell.analyses.simulation import simulate
+    from jaxshell.command.errors import describe_errors, with_half_step
+
+    def run(scene, dt=arguments["dt"]):
+        return simulate(scene, method, t_end=t_end, **(arguments | {"dt": dt}), throw=False)
+
+    halved = with_half_step(arguments["dt"])
+    for line in describe_errors(solution.scene, solution, run, lambda scene: run(scene, halved), say):
+        say(line)
+
+
+def _draw(solutions: dict, restart, folder: Path, stem: str, say, contours=()) -> None:
     from jaxshell.plotting import plot
     from jaxshell.results.joined import joined
 
     if restart is not None:  # the whole run is drawn, from its beginning
         solutions = {label: joined(restart, solution) for label, solution in solutions.items()}
-    for path in plot(solutions, folder, stem):
+    for path in plot(solutions, folder, stem, contours):
         say(f"  {path}")
 
 

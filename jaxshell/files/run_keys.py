@@ -152,6 +152,12 @@ class RunSettings:
     step_largest: float | None = _key("number", "largest step under step control (default: no limit)")
     step_output_interval: float | None = _key("number", "time between frames under step control")
     step_horizon: float | None = _key("number", "until when errors count under step control (default: the end)")
+    errors: bool | None = _key(
+        "switch",
+        "estimate the errors of mesh and step afterwards, by other meshes, half the step and recovered section forces "
+        "(docs/errors.md; default: no)",
+        of=("time", "static", "modes", "buckling"),
+    )
     picture_times: tuple[float, ...] | None = _key(
         "numbers", "times of the shapes that are drawn, or load factors", metavar="T", of=_STEPPED
     )

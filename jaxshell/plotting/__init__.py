@@ -32,8 +32,8 @@ def figures(
     velocity, histories of a run that failed in its first step, momentum of a shell that supports hold.
 
     Arguments:
-        contours: fields to colour the shapes by, besides displacement: "velocity", or texts such as "von mises top",
-            which `jaxshell.model.gauge` lists.
+        contours: fields to colour the shapes by, besides displacement: "velocity", "mesh error", or texts such as
+            "von mises top", which `jaxshell.model.gauge` lists.
         renderer: what draws shapes: "vtk" (true depth; needs PyVista), "matplotlib", or "auto": the first that works.
 
     Raises ValueError for a contour that names nothing that the section has, and for another renderer; ImportError for

@@ -1,5 +1,5 @@
-"""What deformed shapes are coloured by: displacements, velocities, stresses, section forces; smoothed values at the
-corners of the triangles."""
+"""What deformed shapes are coloured by: displacements, velocities, stresses, section forces, as smoothed values at the
+corners of the triangles; and the error of the mesh, one value for each triangle."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,6 +12,7 @@ from matplotlib.colors import ListedColormap, Normalize
 from jaxshell.model.gauge import Gauge, gauge_of
 from jaxshell.plotting.style import length_unit, plain, scaled
 from jaxshell.results.export.units import symbol_of
+from jaxshell.results.mesh_errors import check_has_error, mesh_errors
 from jaxshell.results.smoothing import nodal, smooth_patches
 from jaxshell.results.solution import Solution
 from jaxshell.results.stresses import checked_gauge, gauge_field
@@ -22,7 +23,7 @@ _SIGNED = colormaps["coolwarm"]
 """Of what has a sign: white at zero, as dark at either end."""
 
 
-MOTIONS = ("displacement", "velocity")
+MOTIONS, MESH_ERROR = ("displacement", "velocity"), "mesh error"
 """Fields besides the texts of gauges."""
 
 
@@ -40,12 +41,14 @@ class Colouring(NamedTuple):
 def colouring(runs: Sequence[Solution], frames: Sequence[Sequence[int]], field: str = "displacement") -> Colouring:
     """Colours of some frames of each run, one run's after another's, all on one scale.
 
-    `field` is "displacement", "velocity" (how far a point has moved, how fast it is), or the text of a gauge
-    (`jaxshell.model.gauge`), whose values are smoothed to the nodes. Raises ValueError for another text, and for what
-    the section does not have.
+    `field` is "displacement", "velocity" (how far a point has moved, how fast it is), "mesh error" (`local` of
+    `jaxshell.MeshErrors`), or the text of a gauge (`jaxshell.model.gauge`), whose values are smoothed to the nodes.
+    Raises ValueError for another text, and for what the section does not have.
     """
-    if field not in MOTIONS:
-        for run in runs:
+    for run in runs:
+        if field == MESH_ERROR:
+            check_has_error(run.scene)
+        elif field not in MOTIONS:
             checked_gauge(run.scene, field)
     values = [
         value for run, chosen in zip(runs, frames, strict=True) for value in field_values(run, list(chosen), field)
@@ -54,7 +57,10 @@ def colouring(runs: Sequence[Solution], frames: Sequence[Sequence[int]], field: 
     largest = max(abs(low), abs(high))
     scene = runs[0].scene
     gauge = gauge_of(field)
-    if gauge is None:
+    if field == MESH_ERROR:
+        label, divisor, unit = "Error of the mesh (energy norm)", 0.01, " in %"
+        limits, colour_map = (0.0, largest / divisor), COLOUR_MAP
+    elif gauge is None:
         label = field.capitalize()
         # Displacements have the unit of the scale bar beside them.
         divisor, unit = length_unit(scene) if field == "displacement" else scaled(scene, largest, "m/s")
@@ -76,7 +82,14 @@ def colouring(runs: Sequence[Solution], frames: Sequence[Sequence[int]], field: 
 
 def field_values(run: Solution, frames: list[int], field: str) -> list[np.ndarray]:
     """(m, 3) at the triangles' corners of each of the frames, in the solution's units."""
+    if field == MESH_ERROR:
+        return _mesh_error(run, frames)
     return _motion(run, frames, field) if field in MOTIONS else _gauge(run, frames, field)
+
+
+def _mesh_error(run: Solution, frames: list[int]) -> list[np.ndarray]:
+    patches = smooth_patches(run.scene)
+    return [np.repeat(np.asarray(mesh_errors(run, k, patches=patches).local)[:, None], 3, axis=1) for k in frames]
 
 
 def _motion(run: Solution, frames: list[int], field: str) -> list[np.ndarray]:

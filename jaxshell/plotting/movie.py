@@ -57,7 +57,8 @@ def animate(
     """Write a film of the deformed shapes of one run, or of several side by side, to a .gif or .mp4 file.
 
     Arguments:
-        field: what colours the shapes: "displacement", "velocity", or a gauge's text such as "von mises top".
+        field: what colours the shapes: "displacement", "velocity", "mesh error", or a gauge's text such as "von mises
+            top".
         fps: pictures to a second.
         duration: of the film [s]. Pictures are spread evenly over the runs' time, each the stored frame that is
             nearest. Where neither is given, 8 s at 25 pictures a second, or fewer and slower ones where the runs have

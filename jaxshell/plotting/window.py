@@ -65,7 +65,8 @@ def view(solutions: Mapping[str, Solution] | Solution, field: str = "displacemen
     """Open a window on one run, or on several side by side, with a slider for the time.
 
     Arguments:
-        field: what colours the shapes: "displacement", "velocity", or a gauge's text such as "von mises top".
+        field: what colours the shapes: "displacement", "velocity", "mesh error", or a gauge's text such as "von mises
+            top".
         notebook: whether to show it in a notebook's page; None finds out.
 
     Returns when the window is closed; in a notebook at once, with what shows it. Raises ImportError without PyVista, or

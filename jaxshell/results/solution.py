@@ -172,8 +172,9 @@ class Solution(eqx.Module):
         Arguments:
             path: the file; one that jaxshell wrote is replaced, another one with `overwrite` only.
             fields: "default", "all", or a list of them: displacement, rotation, velocity; N, M, stress top, stress
-                bottom, von mises top, von mises bottom, thickness; strain, curvature, normal, element strain energy; a
-                gauge's text such as "s11 ply 0 top". docs/export.md says what each is. Sets are always written.
+                bottom, von mises top, von mises bottom, thickness; strain, curvature, normal, element strain energy,
+                mesh error; a gauge's text such as "s11 ply 0 top". docs/export.md says what each is. Sets are always
+                written.
             axes: of N, M, stress, strain and curvature: "global", tensors in space; "element", "material" or a vector,
                 components in the elements' planes, as of `jaxshell.section_forces`.
             failure: {criterion: strengths} as of `jaxshell.failure_index`; a field for each.

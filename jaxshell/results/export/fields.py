@@ -1,8 +1,9 @@
 """The fields of an export: what they are called, which of them a scene has, and their values in several frames.
 
 Of nodes: displacement, rotation (a rotation vector), velocity. Of elements, at their middles: section forces, stresses,
-strains, the normal, energies, failure indices, and whatever a gauge's text names (`jaxshell.model.gauge`). All of them
-are computed in one program, frame after frame, so that a frame costs its own memory only.
+strains, the normal, energies, the error of the mesh, failure indices, and whatever a gauge's text names
+(`jaxshell.model.gauge`). All of them are computed in one program, frame after frame, so that a frame costs its own
+memory only.
 """
 
 from collections.abc import Mapping
@@ -19,8 +20,10 @@ from jaxshell.model.scene import Scene
 from jaxshell.numerics import rotations
 from jaxshell.numerics.checks import check_kind, shown
 from jaxshell.numerics.compiled import compiled
+from jaxshell.numerics.frozen import Frozen
 from jaxshell.results.failure import index_in_shape, strengths_of_plies
 from jaxshell.results.frames import Frames
+from jaxshell.results.mesh_errors import check_has_error, local_in_shape
 from jaxshell.results.section_forces import (
     Shape,
     deformed_frames,
@@ -32,6 +35,7 @@ from jaxshell.results.section_forces import (
     strains_in_axes,
     turning,
 )
+from jaxshell.results.smoothing import smooth_patches
 from jaxshell.results.stresses import checked_gauge
 
 _BYTES, _MOST = 2**22, 64
@@ -65,6 +69,7 @@ FIELDS = {
     "curvature": Field("element", "curvature", "change of curvature", usual=False),
     "normal": Field("element", "none", "normal, which points to the top", usual=False),
     "element strain energy": Field("element", "energy", "strain energy of the element", usual=False),
+    "mesh error": Field("element", "index", "error of the mesh in the norm of energy, by recovery", usual=False),
 }
 TENSORS = ("N", "M", "stress top", "stress bottom", "strain", "curvature")
 """Fields whose components depend on axes: 6 in space, xx, yy, zz, xy, yz, xz, or 3 in a plane, xx, yy, xy."""
@@ -84,6 +89,8 @@ class Chosen(NamedTuple):
     """(m,) from every element's e1 to the axis x [rad], or None."""
     strengths: dict[str, tuple]
     """Of the plies, for each criterion."""
+    patches: Frozen | None
+    """Labels of `jaxshell.smooth_patches`, for the mesh's error."""
 
     @property
     def changing(self) -> tuple[str, ...]:
@@ -143,7 +150,8 @@ def choose(scene: Scene, fields: Any = "default", axes: Any = "global", failure:
     names: list[str] = []
     for name in [fields] if isinstance(fields, str) else list(fields):
         if isinstance(name, str) and name in ("default", "all"):
-            own = (key for key, field in FIELDS.items() if (layered or not field.layered))
+            own = [key for key, field in FIELDS.items() if (layered or not field.layered)]
+            own = [key for key in own if key != "mesh error" or scene.mesh.n_elements]
             names += [key for key in own if name == "all" or FIELDS[key].usual]
         else:
             names.append(_checked(scene, name, layered))
@@ -152,13 +160,16 @@ def choose(scene: Scene, fields: Any = "default", axes: Any = "global", failure:
     names += [f"{FAILURE}{criterion}" for criterion in strengths]
     whole = isinstance(axes, str) and axes == "global"
     angle = turning(scene, axes)
-    return Chosen(tuple(dict.fromkeys(names)), "global" if whole else "plane", angle, strengths)
+    patches = smooth_patches(scene).labels if "mesh error" in names else None
+    return Chosen(tuple(dict.fromkeys(names)), "global" if whole else "plane", angle, strengths, patches)
 
 
 def _checked(scene: Scene, name, layered: bool) -> str:
     if isinstance(name, str) and name in FIELDS:
         if FIELDS[name].layered and not layered:
             raise ValueError(f"The field {name!r} needs a section of layers; this scene's has section forces only.")
+        if name == "mesh error":
+            check_has_error(scene)
         return name
     if isinstance(name, str) and name.startswith(FAILURE):
         raise ValueError(f"The field {name!r} is asked for by failure={{{name.removeprefix(FAILURE)!r}: strengths}}.")
@@ -250,6 +261,9 @@ def _of_one(scene: Scene, chosen: Chosen, names: tuple[str, ...]):
             found["normal"] = deformed_frames(scene, shape)[:, 2]
         if "element strain energy" in names:
             found["element strain energy"] = energies_of_elements(scene, shape)
+        if "mesh error" in names:
+            assert chosen.patches is not None  # found when it was chosen
+            found["mesh error"] = local_in_shape(scene, shape, chosen.patches)
         for criterion, strengths in chosen.strengths.items():
             found[f"{FAILURE}{criterion}"] = index_in_shape(scene, shape, strengths, criterion, True)
         return {name: found[name] for name in names}
