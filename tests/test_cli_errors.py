@@ -59,6 +59,7 @@ def test_a_run_says_the_recovered_error_at_its_largest_strain_energy(printed, so
     assert said.endswith(f"element {int(np.argmax(errors.local))}")
 
 
+@pytest.mark.slow
 def test_the_error_is_exported_and_drawn(folder, solution):
     frame = len(solution.frame_times) - 1
     local = np.asarray(js.mesh_errors(solution).local)

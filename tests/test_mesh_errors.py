@@ -122,6 +122,7 @@ def test_strain_energy_is_that_of_the_elements_and_frames_come_singly_or_all(hea
     assert float(every.relative[0]) == 0.0 and np.all(np.asarray(every.local[0]) == 0.0)  # unloaded, not nan
 
 
+@pytest.mark.slow
 def test_it_differentiates_also_at_rest(heated):
     scene = heated.scene
     d, R = shaken(scene.mesh, size=1e-2)

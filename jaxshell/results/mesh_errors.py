@@ -25,7 +25,7 @@ from jaxshell.results.section_forces import Shape, elements_of, given_shape, ove
 from jaxshell.results.smoothing import Patches, nodal, smooth_patches
 from jaxshell.results.solution import Solution
 
-_MIDPOINTS = 0.5 * jnp.array([[1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [1.0, 0.0, 1.0]])
+_MIDPOINTS = ((0.5, 0.5, 0.0), (0.0, 0.5, 0.5), (0.5, 0.0, 0.5))
 """Rows: a linear field at the mid-edges 12, 23, 31 from its values at the corners."""
 
 
@@ -119,7 +119,7 @@ def _energies(scene: Scene, shape: Shape, labels: Frozen):
     forces = force_probe(scene, matrix)(strains_at_points(scene, elements, shape), shape.factors)
     parts = forces.reshape(*forces.shape[:2], 2, 3)
     smooth = nodal(scene, parts, components="forces", patches=Patches(labels)).reshape(forces.shape)
-    error = jnp.einsum("pc,mci->mpi", _MIDPOINTS, smooth) - forces
+    error = jnp.einsum("pc,mci->mpi", jnp.asarray(_MIDPOINTS), smooth) - forces
 
     def energy(values):
         strains = jnp.linalg.solve(matrix, jnp.swapaxes(values, 1, 2))
