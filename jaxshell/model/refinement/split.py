@@ -31,8 +31,8 @@ PATTERNS: dict[tuple[int, ...], tuple[tuple[int, int, int], ...]] = {
     (0, 1, 2): ((0, 3, 5), (3, 1, 4), (5, 4, 2), (4, 5, 3)),
 }
 """The children by which edges of a triangle have a middle; of two edges the first is the longest of the triangle, and
-its middle joined to the other's. Corners are 0, 1, 2, middles 3 of edge 0-1, 4 of 1-2, 5 of 2-0. The first child has its
-first edge along that of the parent, as have all of four, so that components in its axes mean the same."""
+its middle joined to the other's. Corners are 0, 1, 2, middles 3 of edge 0-1, 4 of 1-2, 5 of 2-0. The first child has
+its first edge along that of the parent, as have all of four, so that components in its axes mean the same."""
 
 
 class Split:

@@ -8,6 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxshell.model.edges import Edges
 from jaxshell.model.refinement.initial import halfway
 from jaxshell.model.refinement.split import Split
 from jaxshell.model.supports import Support
@@ -59,12 +60,7 @@ def _between_supports(supports: Sequence[Support], done: list[np.ndarray], split
     for position, support in enumerate(supports):
         for node in np.unique(support.nodes.array).tolist():
             at.setdefault(node, []).append(position)
-    runs = [np.isin(np.arange(split.n_shell), edges.ends[held & edges.is_line]) for held in done]
-    for first, second in edges.ends[edges.is_line].tolist():  # on from one support to a like one
-        for one in at.get(first, []):
-            for other in at.get(second, []):
-                if one != other and set(supports[one].dofs) == set(supports[other].dofs):
-                    runs[one][first] = runs[other][second] = True
+    runs = _runs(supports, done, at, edges)
     for edge in split.cut[edges.is_line[split.cut]]:
         first, second = edges.ends[edge].tolist()
         held: dict[str, Any] = {}
@@ -85,6 +81,20 @@ def _between_supports(supports: Sequence[Support], done: list[np.ndarray], split
             by_axes.setdefault(id(axes), ([], axes))[0].append(dof)
         found += [Support(Frozen([split.middle[edge]]), tuple(dofs), axes=axes) for dofs, axes in by_axes.values()]
     return found
+
+
+def _runs(
+    supports: Sequence[Support], done: list[np.ndarray], at: dict[int, list[int]], edges: Edges
+) -> list[np.ndarray]:
+    """For each support (n,), the nodes that it has on lines together with others; `at` are the supports of nodes."""
+    size = int(edges.triangles.max(initial=-1)) + 1
+    runs = [np.isin(np.arange(size), edges.ends[held & edges.is_line]) for held in done]
+    for first, second in edges.ends[edges.is_line].tolist():  # on from one support to a like one
+        for one in at.get(first, []):
+            for other in at.get(second, []):
+                if one != other and set(supports[one].dofs) == set(supports[other].dofs):
+                    runs[one][first] = runs[other][second] = True
+    return runs
 
 
 def _common_axes(a: Support, b: Support, positions: tuple[int, int], ends: tuple[int, int]):
