@@ -154,7 +154,7 @@ def _numbers(item: Any, kinds: dict[str, str | None], split: Split) -> dict[str,
 
 
 def _repeated(item: Any, split: Split, rows: np.ndarray | None, **changed: Any) -> Any:
-    """With those `rows` of values for each of several elements or edges, in all that it is made of; None leaves them."""
+    """With those `rows` (None: all) of values for each of several elements or edges, in all that it is made of."""
     if isinstance(item, Regions):
         parts = zip(item.sections, item.elements, strict=True)
         sections = [_repeated(part, split, split.rows_of_elements(numbers.array)) for part, numbers in parts]
