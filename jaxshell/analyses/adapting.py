@@ -14,8 +14,8 @@ method, and superconvergent or too soft. So the sum η of them is the measure by
 
     V∞ - V ≈ κ η,   κ = |V - V'| / (η' - η)
 
-from the mesh before (V', η') to this. κ falls to no less than half from mesh to mesh, lest a goal that turns back on its
-way seem right.
+from the mesh before (V', η') to this. κ falls to no less than half from mesh to mesh, lest a goal that turns back on
+its way seem right.
 """
 
 import warnings
@@ -26,7 +26,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from jaxshell.analyses.statics import solve_static
 from jaxshell.model.corner_normals import CREASE
@@ -120,7 +119,7 @@ def adapt(
     function = _goal_of(scene, goal)
     analysis = solve_static if analysis is None else analysis
     done: list[Round] = []
-    factor, before, recovered, split = 1.0, None, 0.0, None
+    factor, recovered, split = 1.0, 0.0, None
     while True:
         solution = analysis(scene)
         check_kind("what analysis returns", solution, Solution, "a jaxshell.Solution")
@@ -129,8 +128,7 @@ def adapt(
         value, shares, scale = _errors(scene, solution, analysis, function, goal)
         before, recovered = recovered, float(shares.sum())
         if done:
-            if before - recovered > _TELLS * before:
-                factor = max(abs(value - done[-1].value) / (before - recovered), 0.5 * factor * (len(done) > 1))
+            factor = corrected(factor, len(done), value - done[-1].value, before - recovered, before)
         relative = recovered / scale if scale else 0.0
         done.append(Round(scene.mesh.n_elements, _unknowns(scene), value, relative, factor * relative))
         if len(done) > 1 and done[-1].estimate <= tolerance:
@@ -144,6 +142,16 @@ def adapt(
             text = f"The next mesh would have {finer.mesh.n_elements} elements: raise most_elements."
             return _ended(scene, solution, done, text)
         scene = finer
+
+
+def corrected(factor: float, rounds: int, changed: float, removed: float, before: float) -> float:
+    """κ after a round that changed the goal, and removed a part of the recovered error that was there before.
+
+    Where too little was removed to tell it stays. The first mesh has none to keep half of.
+    """
+    if removed <= _TELLS * before:
+        return factor
+    return max(abs(changed) / removed, 0.5 * factor if rounds > 1 else 0.0)
 
 
 def chosen(shares: np.ndarray, bulk: float) -> np.ndarray:

@@ -28,7 +28,9 @@ class Scaled(AnySection):
 
     def layers(self, mesh: Mesh | Patch) -> Layers | None:
         found = self.section.layers(mesh)
-        return None if found is None else eqx.tree_at(lambda layers: layers.C, found, found.C * self._factors[..., None])
+        return (
+            None if found is None else eqx.tree_at(lambda layers: layers.C, found, found.C * self._factors[..., None])
+        )
 
     def thermal_resultants(self, mesh: Mesh | Patch) -> Float[Array, "m 3 3"] | None:
         found = self.section.thermal_resultants(mesh)
