@@ -199,7 +199,8 @@ def _goal_of(scene: Scene, goal: Goal | str | None) -> Goal | None:
 def _errors(scene: Scene, solution: Solution, analysis, function: Goal | None, goal):
     """The goal's value, (m,) what the elements add to its error, and the size to which that is compared."""
     frames = len(solution.frame_times)
-    errors = mesh_errors(solution, [frames - 1] if solution.analysis == "static" else list(range(1, frames)))
+    which: Any = [frames - 1] if solution.analysis == "static" else list(range(1, frames))
+    errors = mesh_errors(solution, which)
     energy, strain_energy = (np.asarray(jnp.mean(part, axis=0)) for part in (errors.energy, errors.strain_energy))
     if function is None:
         value = float(strain_energy.sum())
