@@ -1,8 +1,8 @@
 """`adapt`: analyse, estimate, bisect where the error comes from, until what is left of it is small enough.
 
-The error of the mesh in every element is the energy η² of its recovered less its computed section forces
-(`jaxshell.results.mesh_errors`). A goal J weighs it: an element with an error e = η²/(U + η²) of its own energy counts
-as one whose stiffness C is so much in error, and changes the goal by
+The error of the mesh in every element is the energy η² of its recovered less its computed section forces, of moments by
+half (`jaxshell.results.mesh_errors`). A goal J weighs it: an element with an error e = η²/(U + η²) of its own energy U
+counts as one whose stiffness C is so much in error, and changes the goal by
 
     |dJ/d ln C| e,
 
@@ -10,7 +10,8 @@ with all derivatives from one reverse pass through the analysis. In linear stati
 adjoint z of the goal: the dual-weighted residual, estimated by the element's energies. Of the energy itself it is η².
 
 Recovered energies see where the error is, but not all of how large it is in the goal: the plate's element is no Ritz
-method, and superconvergent or too soft. So the sum η of them is the measure by which the goal V is extrapolated,
+method; its deflections are better than its moments, or too soft. So the sum η of them is the measure by which the goal
+V is extrapolated,
 
     V∞ - V ≈ κ η,   κ = |V - V'| / (η' - η)
 
@@ -35,7 +36,7 @@ from jaxshell.model.scene import Scene
 from jaxshell.model.sections.scaled import scaled
 from jaxshell.model.surface import TrueSurface
 from jaxshell.numerics.checks import check_choice, check_count, check_kind, check_within, is_concrete, require_float64
-from jaxshell.results.mesh_errors import mesh_errors
+from jaxshell.results.mesh_errors import deflection_errors
 from jaxshell.results.solution import Solution
 
 HALVINGS = 2
@@ -200,7 +201,7 @@ def _errors(scene: Scene, solution: Solution, analysis, function: Goal | None, g
     """The goal's value, (m,) what the elements add to its error, and the size to which that is compared."""
     frames = len(solution.frame_times)
     which: Any = [frames - 1] if solution.analysis == "static" else list(range(1, frames))
-    errors = mesh_errors(solution, which)
+    errors = deflection_errors(solution, which)
     energy, strain_energy = (np.asarray(jnp.mean(part, axis=0)) for part in (errors.energy, errors.strain_energy))
     if function is None:
         value = float(strain_energy.sum())
