@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from jaxshell import gradients, methods, plotting, scenes
+    from jaxshell.analyses.adapting import Adapted, adapt
     from jaxshell.analyses.arc_length import solve_arc_length
     from jaxshell.analyses.driver import SimulationError
     from jaxshell.analyses.modal import BucklingModes, Modes, linear_buckling, natural_frequencies
@@ -101,6 +102,7 @@ __all__ = [
     "HHT",
     "KLU",
     "RESULTS",
+    "Adapted",
     "Bathe",
     "Box",
     "BucklingModes",
@@ -180,6 +182,7 @@ __all__ = [
     "Traction",
     "TwistedSurface",
     "VTKHDFWriter",
+    "adapt",
     "clamped",
     "coarsen",
     "failure_index",
@@ -285,6 +288,7 @@ _HOMES = {
     "plotting": ["plotting"],
     "scenes": ["scenes"],
     "model.sections": ["Cylindrical", "GeneralSection", "Laminate", "Ply", "Section"],
+    "analyses.adapting": ["Adapted", "adapt"],
     "analyses.richardson": ["Estimate", "Richardson", "richardson"],
     "analyses.settle": ["settle"],
     "analyses.simulation": ["simulate"],

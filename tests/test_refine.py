@@ -82,8 +82,7 @@ def test_a_refined_scene_of_the_library_is_that_with_doubled_divisions(name):
     assert [label for label, _, _ in fine.watch] == [label for label, _, _ in doubled.watch]
 
 
-@pytest.fixture(scope="module")
-def rich() -> js.Scene:
+def rich_scene() -> js.Scene:
     """A plate in two regions with everything on it that is carried over."""
     rim = generators.rectangle(1.0, 1.0, (3, 3)).boundary_edges()
     mesh = irregular(
@@ -110,6 +109,11 @@ def rich() -> js.Scene:
         connectors=[js.Spring(5, 16, 10.0, name="cable"), js.RigidBody([10, 11], name="body")],
         obstacles=[js.Plane([0.0, 0.0, 1.0], [0.0, 0.0, -5.0], nodes="all")],
     )
+
+
+@pytest.fixture(scope="module")
+def rich() -> js.Scene:
+    return rich_scene()
 
 
 @pytest.fixture(scope="module")
@@ -177,8 +181,8 @@ def test_a_turned_start_on_a_curved_shell_is_turned_as_a_whole():
     np.testing.assert_allclose(fine.initial.velocities, jnp.cross(spin, x @ R.T), atol=1e-14)
 
 
-def test_constant_strain_and_curvature_leave_inner_nodes_of_a_refined_irregular_mesh_without_force():
-    mesh = js.refine(irregular())
+def check_patch(mesh: js.Mesh) -> None:
+    """Constant strain and curvature leave the inner nodes of a plane mesh without force."""
     nodes, zero = np.asarray(mesh.nodes), np.zeros(mesh.n_nodes)
     x, y, _ = nodes.T
     u = np.stack([x + 0.3 * y, 0.3 * x - 0.5 * y, x**2 + 0.5 * x * y - 0.7 * y**2], 1)
@@ -190,6 +194,10 @@ def test_constant_strain_and_curvature_leave_inner_nodes_of_a_refined_irregular_
     inner = np.setdiff1d(np.arange(mesh.n_nodes), mesh.boundary_edges())
     for part in ([0, 1, 5], [2, 3, 4]):
         assert np.abs(forces[inner][:, part]).max() < 1e-12 * np.abs(of_elements.reshape(-1, 6)[:, part]).max()
+
+
+def test_constant_strain_and_curvature_leave_inner_nodes_of_a_refined_irregular_mesh_without_force():
+    check_patch(js.refine(irregular()))
 
 
 @pytest.mark.slow
@@ -312,6 +320,14 @@ def test_nodes_between_two_supports_on_an_edge_are_held_by_what_both_hold():
     slanted = js.refine(js.Scene(mesh, SECTION, [one, other]))
     middle = slanted.supports[2]
     np.testing.assert_allclose(middle.axes[0], [np.cos(np.pi / 8), np.sin(np.pi / 8), 0.0], atol=1e-12)
+
+
+def test_a_line_that_ends_in_a_clamped_corner_is_held_up_to_it_however_fine():
+    mesh = generators.rectangle(2.0, 1.0, (2, 1))
+    scene = js.Scene(mesh, SECTION, [js.pinned([0]), js.Support([2, 4], "uz")])
+    for fine in (js.refine(scene, 2), js.refine(js.refine(scene))):
+        held = fine.held_dofs[fine.held_dofs % 6 == 2] // 6
+        assert np.array_equal(held, np.flatnonzero(np.asarray(fine.mesh.nodes)[:, 1] == 0.0))
 
 
 def test_joints_of_two_edges_join_what_is_between():

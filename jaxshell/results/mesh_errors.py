@@ -78,6 +78,15 @@ def mesh_errors(solution: Solution, frame=-1, *, angle: float = 30.0, patches: P
     return _errors(solution.scene, shape_of(solution, frame), angle, patches)
 
 
+def deflection_errors(solution: Solution, frame=-1) -> MeshErrors:
+    """`mesh_errors` with the errors of moments by half: as much of them as deflections are wrong by, about.
+
+    The plate's element is no Ritz method, and its deflections are better than its moments; those of membranes are as
+    good as their forces. docs/adapting.md shows what this is worth.
+    """
+    return _errors(solution.scene, shape_of(solution, frame), 30.0, None, 0.5)
+
+
 def mesh_errors_of(
     scene: Scene,
     displacements,
@@ -101,25 +110,26 @@ def check_has_error(scene: Scene) -> None:
 
 def local_in_shape(scene: Scene, shape: Shape, labels: Frozen) -> Float[Array, " m"]:
     """`MeshErrors.local` of one shape, with the labels of `jaxshell.smooth_patches`."""
-    return MeshErrors(*_energies(scene, shape, labels)).local
+    return MeshErrors(*_energies(scene, shape, labels, jnp.ones(()))).local
 
 
-def _errors(scene: Scene, shape: Shape, angle: float, patches: Patches | None) -> MeshErrors:
+def _errors(scene: Scene, shape: Shape, angle: float, patches: Patches | None, moments: float = 1.0) -> MeshErrors:
     check_has_error(scene)
     patches = smooth_patches(scene, angle) if patches is None else patches
-    energy, strain_energy, area = over_frames(_energies, scene, shape, patches.labels)
+    energy, strain_energy, area = over_frames(_energies, scene, shape, patches.labels, jnp.asarray(moments))
     return MeshErrors(energy, strain_energy, area if area.ndim == 1 else area[0])
 
 
 @compiled
-def _energies(scene: Scene, shape: Shape, labels: Frozen):
-    """Energies of the error and of the section forces, and the areas."""
+def _energies(scene: Scene, shape: Shape, labels: Frozen, moments: Float[Array, ""]):
+    """Energies of the error, in which moments' errors have a factor, and of the section forces, and the areas."""
     elements = elements_of(scene)
     matrix = elements.section.matrix
     forces = force_probe(scene, matrix)(strains_at_points(scene, elements, shape), shape.factors)
     parts = forces.reshape(*forces.shape[:2], 2, 3)
     smooth = nodal(scene, parts, components="forces", patches=Patches(labels)).reshape(forces.shape)
     error = jnp.einsum("pc,mci->mpi", jnp.asarray(_MIDPOINTS), smooth) - forces
+    error = error * jnp.ones(6).at[3:].set(moments)
 
     def energy(values):
         strains = jnp.linalg.solve(matrix, jnp.swapaxes(values, 1, 2))

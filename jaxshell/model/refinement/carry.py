@@ -1,4 +1,4 @@
-"""Sections, loads, masses, connectors and obstacles on a mesh whose triangles are cut in four.
+"""Sections, loads, masses, connectors and obstacles on a mesh whose triangles are cut.
 
 What is given by element goes to its children, by edge to its halves, at a node it stays there; values for each of
 several elements or edges are those of their children and halves. Which fields hold one value for each, their shapes in
@@ -9,11 +9,11 @@ ties, joints of two edges, obstacles. Springs, dashpots and point masses stay wh
 import dataclasses
 import functools
 import typing
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxshell.model.connectors import EdgeTie, Hinge, RigidBody, Slider, Spherical, Tie
@@ -21,11 +21,12 @@ from jaxshell.model.connectors.base import Connector
 from jaxshell.model.connectors.ends import Nodes
 from jaxshell.model.connectors.joint import Joint
 from jaxshell.model.damping import RayleighDamping
+from jaxshell.model.edges import Edges
 from jaxshell.model.loads import Load
 from jaxshell.model.masses import PointMass
 from jaxshell.model.obstacles import Obstacle
-from jaxshell.model.refinement.split import CHILDREN, Split
-from jaxshell.model.sections import AnySection
+from jaxshell.model.refinement.split import Split
+from jaxshell.model.sections import AnySection, Regions
 from jaxshell.numerics.frozen import Frozen
 
 _FIELDS = {"nodes": "node", "edges": "side", "elements": "element"}
@@ -36,18 +37,24 @@ _SEAMS = (Hinge, Slider, Spherical, Tie)
 
 def carried_section(section: AnySection, split: Split) -> AnySection:
     """The section with values for each element on its children."""
-    return _repeated(section, split, CHILDREN)
+    return _repeated(section, split, split.rows_of_elements())
 
 
 def carried_damping(damping: RayleighDamping | None, split: Split) -> RayleighDamping | None:
-    return None if damping is None else _repeated(damping, split, CHILDREN)
+    return None if damping is None else _repeated(damping, split, split.rows_of_elements())
 
 
 def carried_load(load: Load, split: Split) -> Load:
     """The load with the same resultants. Raises ValueError for one that says numbers which are not known."""
     kinds = {field.name: kind_of(load, field.name) for field in dataclasses.fields(load)}
-    times = 2 if "side" in kinds.values() else CHILDREN if "elements" in kinds else 1
-    return _repeated(load, split, times, **_numbers(load, kinds, split))
+    rows = None
+    for name, kind in kinds.items():
+        value = getattr(load, name)
+        if kind == "side":
+            rows = split.rows_of_edges(value.array)
+        elif name == "elements":
+            rows = split.rows_of_elements(None if value is None else value.array)
+    return _repeated(load, split, rows, **_numbers(load, kinds, split))
 
 
 def carried_mass(mass: PointMass, split: Split) -> PointMass:
@@ -86,26 +93,42 @@ def carried_connector(item: Connector, split: Split) -> list[Connector]:
 
 def with_between(nodes: np.ndarray, split: Split) -> Frozen:
     """A set of nodes, in their order, and the new ones that belong to it."""
-    return Frozen(np.concatenate([split.nodes(nodes), split.n_shell + split.between(nodes)]))
+    return Frozen(np.concatenate([split.nodes(nodes), split.middle[split.between(nodes)]]))
 
 
 def _pairs_between(joint: Joint, split: Split) -> np.ndarray:
     """(p, 2) new nodes between pairs that are joined: the middles of edges on both sides, or a node common to two."""
-    (a, b), edges = joint.pairs.array.T, split.edges
+    found = set()
+    for edge, ends in _edges_across(joint, split.between(joint.pairs.array[:, 0]), split.edges):
+        if ends[0] == ends[1]:
+            found.add((int(split.middle[edge]), int(split.nodes(ends[0]))))
+        elif (across := int(split.edges.numbers(ends[None])[0])) >= 0:
+            found.add((int(split.middle[edge]), int(split.middle[across])))
+    return np.array(sorted(found), np.int64).reshape(-1, 2)
+
+
+def _edges_across(joint: Joint, numbers: np.ndarray, edges: Edges) -> Iterator[tuple[int, np.ndarray]]:
+    """Each of the edges on a joint's first side with the two nodes that its ends are joined to."""
+    a, b = joint.pairs.array.T
     at: dict[int, list[int]] = {}
     for pair, node in enumerate(a):
         at.setdefault(int(node), []).append(pair)
-    found = set()
-    for edge in split.between(a):
+    for edge in numbers:
         first, second = edges.ends[edge].tolist()
-        for one in at[first]:
-            for other in at[second]:
-                ends = b[[one, other]]
-                if ends[0] == ends[1]:
-                    found.add((split.n_shell + int(edge), int(split.nodes(ends[0]))))
-                elif (across := int(edges.numbers(ends[None])[0])) >= 0:
-                    found.add((split.n_shell + int(edge), split.n_shell + across))
-    return np.array(sorted(found), np.int64).reshape(-1, 2)
+        for one in at.get(first, []):
+            for other in at.get(second, []):
+                yield int(edge), b[[one, other]]
+
+
+def joined_edges(connectors: Sequence[Connector], edges: Edges) -> np.ndarray:
+    """(j, 2) pairs of edges that joints hold together: their middles must come together too."""
+    found = []
+    for joint in connectors:
+        if isinstance(joint, _SEAMS):
+            side = np.flatnonzero(np.all(np.isin(edges.ends, joint.pairs.array[:, 0]), axis=1))
+            found += [(edge, int(edges.numbers(ends[None])[0])) for edge, ends in _edges_across(joint, side, edges)]
+    pairs = np.array(found, np.int64).reshape(-1, 2)
+    return pairs[pairs[:, 1] >= 0]
 
 
 def kind_of(item: Any, name: str) -> str | None:
@@ -130,18 +153,20 @@ def _numbers(item: Any, kinds: dict[str, str | None], split: Split) -> dict[str,
     return found
 
 
-def _repeated(item: Any, split: Split, times: int, **changed: Any) -> Any:
-    """With values for each of several elements or edges as often as these have children, in all that it is made of."""
+def _repeated(item: Any, split: Split, rows: np.ndarray | None, **changed: Any) -> Any:
+    """With those `rows` (None: all) of values for each of several elements or edges, in all that it is made of."""
+    if isinstance(item, Regions):
+        parts = zip(item.sections, item.elements, strict=True)
+        sections = [_repeated(part, split, split.rows_of_elements(numbers.array)) for part, numbers in parts]
+        return Regions([Frozen(split.elements(numbers.array)) for numbers in item.elements], sections, item.names)
     for field in dataclasses.fields(item):
         value, axes = getattr(item, field.name), axes_of_one(type(item)).get(field.name)
         if isinstance(value, eqx.Module):
-            changed[field.name] = _repeated(value, split, times)
+            changed[field.name] = _repeated(value, split, rows)
         elif isinstance(value, tuple) and any(isinstance(part, eqx.Module) for part in value):
-            changed[field.name] = tuple(_repeated(part, split, times) for part in value)
-        elif isinstance(item, AnySection) and isinstance(value, tuple) and field.name == "elements":
-            changed[field.name] = tuple(Frozen(split.elements(numbers.array)) for numbers in value)
-        elif axes is not None and isinstance(value, jax.Array) and value.ndim > axes:
-            changed[field.name] = jnp.repeat(value, times, axis=0)
+            changed[field.name] = tuple(_repeated(part, split, rows) for part in value)
+        elif rows is not None and axes is not None and isinstance(value, jax.Array) and value.ndim > axes:
+            changed[field.name] = value[rows]
     return dataclasses.replace(item, **changed) if changed else item
 
 

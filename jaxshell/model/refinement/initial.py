@@ -18,7 +18,7 @@ def carried_initial(initial: Initial | None, split: Split, x0: Float[Array, "n 3
     """With rows for new nodes at `new`; `x0` are the places before."""
     if initial is None:
         return None
-    n, (first, second) = split.n_shell, split.edges.ends.T
+    n, (first, second) = split.n_shell, split.edges.ends[split.cut].T
     eyes = jnp.broadcast_to(jnp.eye(3), (len(x0), 3, 3))
     R = eyes if initial.rotations is None else initial.rotations
     r, d = new - 0.5 * (x0[first] + x0[second]), x0[second] - x0[first]

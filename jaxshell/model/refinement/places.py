@@ -28,19 +28,24 @@ CORNER = 50.0
 
 
 def middles(
-    nodes: Float[Array, "n 3"], edges: Edges, surface: TrueSurface | str, crease: float, groups: np.ndarray | None
-) -> Float[Array, "k 3"]:
-    """The places of new nodes, one for each edge; differentiable in nodes and in the floats of the surface.
+    nodes: Float[Array, "n 3"],
+    edges: Edges,
+    cut: np.ndarray,
+    surface: TrueSurface | str,
+    crease: float,
+    groups: np.ndarray | None,
+) -> Float[Array, "c 3"]:
+    """The places of new nodes, one for each of the edges `cut`; differentiable in nodes and in the surface's floats.
 
     `surface` is the true one, or one of `WAYS`; `crease` and `groups` as in `corner_normals`.
     """
-    a, b = (nodes[edges.ends[:, end]] for end in (0, 1))
+    a, b = (nodes[edges.ends[cut, end]] for end in (0, 1))
     if isinstance(surface, TrueSurface):
         return _on_surface(surface, a, b)
     if surface == "flat":
         return 0.5 * (a + b)
     groups_or_none = None if groups is None else Frozen(groups)
-    return _smooth(nodes, Frozen(edges.triangles), jnp.asarray(float(crease)), groups_or_none)
+    return _smooth(nodes, Frozen(edges.triangles), jnp.asarray(float(crease)), groups_or_none)[cut]
 
 
 @compiled

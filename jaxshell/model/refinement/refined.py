@@ -1,20 +1,23 @@
-"""`refine`: every triangle in four, and the whole scene on the finer mesh."""
+"""`refine`: every triangle in four, or some bisected, and the whole scene on the finer mesh."""
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxshell.model.corner_normals import CREASE
+from jaxshell.model.edges import Edges
 from jaxshell.model.gauge import gauge_of
 from jaxshell.model.mesh import MOST_TRIANGLES, Mesh
 from jaxshell.model.refinement import carry
+from jaxshell.model.refinement.bisection import bisected_edges
 from jaxshell.model.refinement.initial import carried_initial
 from jaxshell.model.refinement.places import WAYS, middles
-from jaxshell.model.refinement.split import CHILDREN, MIDDLE, Split
+from jaxshell.model.refinement.split import Split
 from jaxshell.model.refinement.supports import carried_supports
 from jaxshell.model.scene import Scene
 from jaxshell.model.sections.regions import region_of_elements
+from jaxshell.model.sets import check_on_mesh, element_numbers
 from jaxshell.model.surface import TrueSurface
 from jaxshell.numerics.checks import check_choice, check_count, check_kind, check_within
 
@@ -22,9 +25,13 @@ MeshOrScene = TypeVar("MeshOrScene", Mesh, Scene)
 
 
 def refine(
-    of: MeshOrScene, levels: int = 1, surface: TrueSurface | str | None = None, crease: float = CREASE
+    of: MeshOrScene,
+    levels: int = 1,
+    surface: TrueSurface | str | None = None,
+    crease: float = CREASE,
+    elements: Any = None,
 ) -> MeshOrScene:
-    """A scene, or a mesh, with every triangle cut in four, `levels` times.
+    """A scene, or a mesh, with every triangle cut in four, or with some of them bisected, `levels` times.
 
     Arguments:
         of: a `Scene` or a `Mesh`. Differentiable in all of its floats.
@@ -34,27 +41,66 @@ def refine(
             tangents of their own. "flat": onto the middle of the edges; the shell stays the polyhedron that it is. Or a
             surface of `jaxshell.model.surface`, which the new mesh remembers.
         crease: angle [degrees] between neighbours above which "smooth" keeps the fold between them.
+        elements: which triangles to bisect at their longest edges, by their numbers or the name of a set of them, and
+            what comes of them `levels` times; two of these halve their edges. Neighbours with longer edges are cut too,
+            so that all edges meet, and no angle falls below half of the smallest. None: every triangle in four. Which
+            edges are cut follows from the places of the nodes, and so is no function that jax.jit can trace.
 
-    Old nodes stay, with their numbers; of triangle k the children are 4k to 4k + 3. Loads keep their resultants, sets,
+    Old nodes stay, with their numbers, and the children of a triangle stand together where it stood: 4k to 4k + 3 of
+    triangle k where all are cut in four. Loads keep their resultants, sets,
     supports and whatever joins nodes take in what lies between, and an initial state moves on as it did. What a node
     carries (forces, masses, springs) stays there. docs/refinement.md says what becomes of each, and by which rule.
 
-    Raises ValueError naming what cannot be carried over, and for more than two million triangles.
+    Raises ValueError naming what cannot be carried over, for elements that there are not, and for more than two million
+    triangles.
     """
     check_kind("refine's first argument", of, Mesh | Scene, "a jaxshell.Scene or a jaxshell.Mesh")
     check_count("levels", levels, least=0)
     check_within("crease", crease, 0.0, 180.0)
     if surface is not None and not isinstance(surface, TrueSurface):
         check_choice("surface", surface, WAYS)
+    chosen, split = None if elements is None else _chosen(of if isinstance(of, Mesh) else of.mesh, elements), None
     for _ in range(levels):
-        of = _refined_mesh(of, Split(of), surface, crease) if isinstance(of, Mesh) else _refined(of, surface, crease)
+        of, split = refined_once(of, chosen, split, surface, crease)
+        chosen = None if chosen is None else split.elements(chosen)
     return of
 
 
-def _refined(scene: Scene, surface: TrueSurface | str | None, crease: float) -> Scene:
-    split = Split(scene.mesh)
+def refined_once(
+    of: MeshOrScene,
+    elements: np.ndarray | None = None,
+    before: Split | None = None,
+    surface: TrueSurface | str | None = None,
+    crease: float = CREASE,
+) -> tuple[MeshOrScene, Split]:
+    """All triangles in four, or those of these numbers bisected, and the tables of that.
+
+    `before` are those of the mesh that it comes of, by which sets and supports go on as they began.
+    """
+    mesh = of if isinstance(of, Mesh) else of.mesh
+    cut = longest = None
+    if elements is not None:
+        edges = Edges(mesh.triangles)
+        joined = None if isinstance(of, Mesh) else carry.joined_edges(of.connectors, edges)
+        cut, longest = bisected_edges(mesh.nodes, edges, elements, joined)
+    split = Split(mesh, cut, longest, before)
+    if isinstance(of, Mesh):
+        return _refined_mesh(of, split, surface, crease), split
+    return _refined(of, split, surface, crease), split
+
+
+def _chosen(mesh: Mesh, elements: Any) -> np.ndarray:
+    """Numbers of elements. Raises ValueError for those that there are not."""
+    if isinstance(elements, str):
+        return mesh.element_set(elements)
+    numbers = element_numbers("elements", elements).array
+    check_on_mesh("elements", "element", numbers, mesh.n_elements)
+    return numbers
+
+
+def _refined(scene: Scene, split: Split, surface: TrueSurface | str | None, crease: float) -> Scene:
     mesh = _refined_mesh(scene.mesh, split, surface, crease, region_of_elements(scene.section, scene.mesh))
-    new = mesh.nodes[split.n_shell : split.n_shell + len(split.edges)]
+    new = mesh.nodes[split.n_shell : split.n_shell + len(split.cut)]
     connectors = _carried("connector", carry.carried_connector, scene.connectors, split)
     return Scene(
         mesh,
@@ -73,15 +119,15 @@ def _refined(scene: Scene, surface: TrueSurface | str | None, crease: float) -> 
 
 
 def _refined_mesh(mesh: Mesh, split: Split, surface, crease: float, groups=None) -> Mesh:
-    """The mesh with every triangle in four; `groups` (m,) differ where the surface has a crease."""
-    if CHILDREN * mesh.n_elements > MOST_TRIANGLES:
+    """The mesh with its triangles cut; `groups` (m,) differ where the surface has a crease."""
+    if len(split.triangles) > MOST_TRIANGLES:
         raise ValueError(
-            f"Refined, the mesh has {CHILDREN * mesh.n_elements} triangles, more than the {MOST_TRIANGLES} that are "
+            f"Refined, the mesh has {len(split.triangles)} triangles, more than the {MOST_TRIANGLES} that are "
             "generated: choose fewer levels."
         )
     known = mesh.surface if surface is None else surface if isinstance(surface, TrueSurface) else None
     way = "smooth" if surface is None else surface
-    new = middles(mesh.nodes, split.edges, way if known is None else known, crease, groups)
+    new = middles(mesh.nodes, split.edges, split.cut, way if known is None else known, crease, groups)
     n = split.n_shell
     return Mesh(
         jnp.concatenate([mesh.nodes[:n], new, mesh.nodes[n:]]),
@@ -114,10 +160,10 @@ def _carried(what: str, carried, items, split: Split) -> list:
 
 
 def _carried_watch(entry: tuple, split: Split) -> tuple:
-    """A node is where it was; of an element that child which has its middle; what has a name keeps it."""
+    """A node is where it was; of an element at the child that its gauge goes to; what has a name keeps it."""
     label, number, component = entry
     if isinstance(number, str):
         return entry
     if gauge_of(component) is not None:
-        return label, CHILDREN * number + MIDDLE, component
+        return label, split.gauged(number), component
     return label, int(split.nodes(np.array(number))), component

@@ -1,4 +1,4 @@
-"""Supports on a mesh whose triangles are cut in four: what they hold between the nodes that they held."""
+"""Supports on a mesh whose triangles are cut: what they hold between the nodes that they held."""
 
 import dataclasses
 import warnings
@@ -8,6 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxshell.model.edges import Edges
 from jaxshell.model.refinement.initial import halfway
 from jaxshell.model.refinement.split import Split
 from jaxshell.model.supports import Support
@@ -32,9 +33,9 @@ def carried_supports(supports: Sequence[Support], split: Split) -> list[Support]
                 f"support {position} has all nodes of elements that lie between edges of the shell, and the new ones "
                 "inside of them are held too. If the edges alone are meant, refine the mesh first and state the "
                 "support on that.",
-                stacklevel=4,
+                stacklevel=5,
             )
-        done[position][between] = True
+        done[position] = split.membership(nodes).edges
         found.append(_extended(support, between, split))
     return found + _between_supports(supports, done, split)
 
@@ -48,7 +49,7 @@ def _extended(support: Support, between: np.ndarray, split: Split) -> Support:
             row = {int(node): k for k, node in enumerate(nodes)}
             ends = np.array([[row[int(node)] for node in pair] for pair in split.edges.ends[between]], int)
             changed[name] = jnp.concatenate([value, 0.5 * value[ends.reshape(-1, 2)].sum(axis=1)])
-    numbers = Frozen(np.concatenate([split.nodes(nodes), split.n_shell + between]))
+    numbers = Frozen(np.concatenate([split.nodes(nodes), split.middle[between]]))
     return dataclasses.replace(support, nodes=numbers, **changed)
 
 
@@ -59,8 +60,8 @@ def _between_supports(supports: Sequence[Support], done: list[np.ndarray], split
     for position, support in enumerate(supports):
         for node in np.unique(support.nodes.array).tolist():
             at.setdefault(node, []).append(position)
-    runs = [np.isin(np.arange(split.n_shell), edges.ends[held & edges.is_line]) for held in done]
-    for edge in np.flatnonzero(edges.is_line):
+    runs = _runs(supports, done, at, edges)
+    for edge in split.cut[edges.is_line[split.cut]]:
         first, second = edges.ends[edge].tolist()
         held: dict[str, Any] = {}
         for one in at.get(first, []):
@@ -78,10 +79,22 @@ def _between_supports(supports: Sequence[Support], done: list[np.ndarray], split
         by_axes: dict[int, tuple[list[str], Any]] = {}
         for dof, axes in held.items():
             by_axes.setdefault(id(axes), ([], axes))[0].append(dof)
-        found += [
-            Support(Frozen([split.n_shell + int(edge)]), tuple(dofs), axes=axes) for dofs, axes in by_axes.values()
-        ]
+        found += [Support(Frozen([split.middle[edge]]), tuple(dofs), axes=axes) for dofs, axes in by_axes.values()]
     return found
+
+
+def _runs(
+    supports: Sequence[Support], done: list[np.ndarray], at: dict[int, list[int]], edges: Edges
+) -> list[np.ndarray]:
+    """For each support (n,), the nodes that it has on lines together with others; `at` are the supports of nodes."""
+    size = int(edges.triangles.max(initial=-1)) + 1
+    runs = [np.isin(np.arange(size), edges.ends[held & edges.is_line]) for held in done]
+    for first, second in edges.ends[edges.is_line].tolist():  # on from one support to a like one
+        for one in at.get(first, []):
+            for other in at.get(second, []):
+                if one != other and set(supports[one].dofs) == set(supports[other].dofs):
+                    runs[one][first] = runs[other][second] = True
+    return runs
 
 
 def _common_axes(a: Support, b: Support, positions: tuple[int, int], ends: tuple[int, int]):
