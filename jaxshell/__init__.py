@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from jaxshell import gradients, methods, plotting, scenes
+    from jaxshell.advice.advise import advise
     from jaxshell.analyses.adapting import Adapted, adapt
     from jaxshell.analyses.arc_length import solve_arc_length
     from jaxshell.analyses.driver import SimulationError
@@ -73,6 +74,7 @@ if TYPE_CHECKING:
     from jaxshell.model.sections import Cylindrical, GeneralSection, Laminate, Ply, Section
     from jaxshell.model.supports import Support, clamped, pinned, symmetry
     from jaxshell.model.surface import CylindricalSurface, FlatSurface, SphericalSurface, TwistedSurface
+    from jaxshell.model.with_shape import with_shape
     from jaxshell.numerics.plane_stress import principal, von_mises
     from jaxshell.results.export.vtkhdf import VTKHDFWriter
     from jaxshell.results.failure import Strengths, failure_index, failure_index_of, ks
@@ -183,6 +185,7 @@ __all__ = [
     "TwistedSurface",
     "VTKHDFWriter",
     "adapt",
+    "advise",
     "clamped",
     "coarsen",
     "failure_index",
@@ -221,9 +224,11 @@ __all__ = [
     "sweep",
     "symmetry",
     "von_mises",
+    "with_shape",
 ]
 
 _HOMES = {
+    "advice.advise": ["advise"],
     "analyses.arc_length": ["solve_arc_length"],
     "analyses.driver": ["SimulationError"],
     "solvers.linear_solver": ["KLU", "Dense", "Pardiso"],
@@ -313,6 +318,7 @@ _HOMES = {
         "TorsionSpring",
     ],
     "model.supports": ["Support", "clamped", "pinned", "symmetry"],
+    "model.with_shape": ["with_shape"],
     "model.surface": ["CylindricalSurface", "FlatSurface", "SphericalSurface", "TwistedSurface"],
 }
 """The public names by their modules. A package's own name stands for the package."""

@@ -1,6 +1,5 @@
-"""References, errors, charts and advice: the figures of merit, the search, what is said and written."""
+"""References, errors and charts: figures of merit, extrapolation, points and pictures."""
 
-import tomllib
 import types
 
 import jax
@@ -10,14 +9,10 @@ import pytest
 jax.config.update("jax_enable_x64", True)
 
 import jaxshell as js  # noqa: E402
-from jaxshell.advice import advise as advising  # noqa: E402
 from jaxshell.advice import chart as charting  # noqa: E402
 from jaxshell.advice import references  # noqa: E402
-from jaxshell.advice.chart import Configuration, Point  # noqa: E402
+from jaxshell.advice.chart import Point  # noqa: E402
 from jaxshell.advice.references import Reference  # noqa: E402
-from jaxshell.advice.text import command_line, describe, run_section  # noqa: E402
-from jaxshell.command.cli import main  # noqa: E402
-from jaxshell.files.run_keys import KEYS  # noqa: E402
 from jaxshell.numerics.rotations import exp  # noqa: E402
 from jaxshell.plotting import work_precision  # noqa: E402
 
@@ -152,133 +147,19 @@ def test_meshes_are_compared_with_the_finest(monkeypatch):
     ]
 
 
-# --- the search --------------------------------------------------------------------------------------------
-
-GEM = js.GeneralizedEnergyMomentum
-
-
-class Asked(list):
-    """What was asked for; one may set what step control costs a step, and the elements that an answer needs."""
-
-    control_cost: list[float]
-    enough: list[int]
-
-
-@pytest.fixture
-def pretend(monkeypatch):
-    """Second-order methods with known constants and costs instead of runs; returns what was asked for."""
-    asked, control_cost, enough = Asked(), [100.0], [0]
-    constants = {"good": (1.0, 1.0), "light": (1.1, 0.6), "poor": (50.0, 1.0), "biased": (1.0, 0.1)}
-
-    def measure(scene, tried: Configuration, reference) -> Point:
-        asked.append(tried)
-        if isinstance(tried.dt, js.StepControl):
-            steps = round(0.2 * tried.dt.tolerance ** (-1 / 3))
-            return Point(tried.kind, tried.label, 2.0 / steps, control_cost[0] * steps, 4.0 / steps**2, steps, steps)
-        constant, cost = constants[tried.label.split(",")[0]]
-        loose = float(tried.newton.tolerance)
-        error = constant * tried.dt**2 + (0.5 if tried.label == "biased" else 0.0) + (0.3 if loose > 1e-5 else 0.0)
-        error += 0.3 if scene.mesh.n_elements < enough[0] else 0.0
-        effort = (0.5 if loose > 1e-7 else 1.0) ** (loose > 1e-8) * (1.0 if tried.newton.reuse else 1.5)
-        steps = round(2.0 / tried.dt)
-        effort *= scene.mesh.n_elements / cap().mesh.n_elements
-        return Point(tried.kind, tried.label, tried.dt, cost * effort * steps, error, steps, 2 * steps)
-
-    names = [("good", GEM()), ("light", GEM(inertia="none")), ("poor", js.Newmark()), ("biased", js.Bathe())]
-    monkeypatch.setattr(advising, "measure", measure)
-    monkeypatch.setattr(advising, "candidates", lambda: names)
-    monkeypatch.setattr(advising, "inertia_change", lambda *_: 3e-5)
-    asked.control_cost, asked.enough = control_cost, enough
-    return asked
-
-
-def test_cheapest_that_meets_the_tolerance(pretend):
-    advice = advising.advise(cap(), 0.1, dt=1.0, say=lambda _: None, reference=SINE)
-    best = advice.best
-    # 1.1 · 0.25² = 0.069 is the largest of the halvings below 0.8 · 0.1.
-    assert advice.met and best.dt == 0.25 and best.method == GEM(inertia="none")
-    assert float(best.newton.tolerance) == 1e-6 and best.newton.reuse
-    text = describe(cap(), advice)
-    for words in (
-        "rotary inertia changes the answer by 3.0e-05: left out",
-        "dt = 0.5 would miss",
-        "Newton to 1e-06 is enough",
-        "Newton to 0.0001 instead of 1e-06: error 3.7e-01",
-        "js.GeneralizedEnergyMomentum(inertia='none'), dt=0.25, t_end=..., newton=js.Newton(tolerance=1e-06))",
-    ):
-        assert words in text
-    # Dear methods are given up before they are refined to the end.
-    assert min(c.dt for c in pretend if c.label == "poor") > 0.03 and "poor: at dt" in text
-
-
-def test_steps_are_doubled_while_they_meet_it(pretend):
-    advice = advising.advise(cap(), 0.1, dt=0.01, say=lambda _: None, reference=SINE)
-    assert np.isclose(advice.best.dt, 0.16) and advice.met
-
-
-def test_steps_are_not_doubled_past_what_the_trial_shows(pretend):
-    """Where any step meets the tolerance, eight of them are left in the trial."""
-    window = float(SINE.times[-1])
-    advice = advising.advise(cap(), 0.99, dt=window / 1000, say=lambda _: None, reference=SINE)
-    assert advice.met and window / 16 < advice.best.dt <= window / 8
-    assert any(reason.startswith("larger steps were not tried: the trial has ") for reason in advice.reasons)
-
-
-def test_tolerance_that_nothing_meets(pretend, monkeypatch):
-    monkeypatch.setattr(advising, "candidates", lambda: [("biased", js.Bathe())])
-    monkeypatch.setattr(advising._Search, "try_step_control", lambda *_: None)
-    advice = advising.advise(cap(), 0.1, dt=1.0, say=lambda _: None, reference=SINE)
-    assert not advice.met and advice.reasons[0].startswith("Nothing tried meets 0.1; the most accurate")
-
-
-def test_step_control_where_it_is_cheapest(pretend):
-    pretend.control_cost[0] = 0.1
-    advice = advising.advise(cap(), 0.1, dt=1.0, say=lambda _: None, reference=SINE)
-    assert isinstance(advice.best.dt, js.StepControl)
-    tolerance = advice.best.dt.tolerance
-    assert f"js.StepControl({tolerance:g}, initial=1)" in describe(cap(), advice)
-    assert f"--dt 1 --step-tolerance {tolerance:g}" in command_line("cap", advice)
-    run = tomllib.loads(run_section(cap(), advice))["run"]
-    assert set(run) <= set(KEYS) and run["step_tolerance"] == pytest.approx(tolerance)
-
-
-@pytest.mark.wrong_types  # stand-ins for runs
-def test_fewer_elements_where_they_suffice(pretend, monkeypatch):
-    """Of 10 divisions 8 and 6 are enough, 5 are not; what a finer mesh would change is said."""
-    still = types.SimpleNamespace(message="", frame_times=TIMES, scene=cap(), displacements=np.zeros((41, 9, 3)))
-    monkeypatch.setattr(advising, "timed", lambda *_: (still, 1.0))
-    pretend.enough[0] = 72
-    make = js.scenes.spherical_cap
-    advice = advising.advise(make(), 0.1, dt=1.0, say=lambda _: None, reference=SINE, make=make)
-    assert advice.divisions == 6 and "--divisions 6" in command_line("cap", advice)
-    text = describe(make(), advice)
-    assert "50 triangles (divisions 5) are not enough" in text and "450 triangles would change" in text
-
-
-@pytest.mark.parametrize("tolerance", [0.0, -1.0, 1.0, 1e-7])
-def test_bad_tolerances(pretend, tolerance):
-    with pytest.raises(ValueError, match="tolerance"):
-        advising.advise(cap(), tolerance, dt=1.0, say=lambda _: None, reference=SINE)
-    assert not pretend
-
-
-def test_command_writes_a_run_section_that_scene_files_take(pretend, monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(advising, "reference_of", lambda *_: SINE)
-    failed = types.SimpleNamespace(message="the finer mesh is not of interest here")
-    monkeypatch.setattr(advising, "timed", lambda *_: (failed, 1.0))
-    pretend.enough[0] = 200
-    file = tmp_path / "run.toml"
-    assert main(["advise", "cap", "--tolerance", "0.1", "--dt", "1", "--output", str(file), "--quiet"]) == 0
-    run = tomllib.loads(file.read_text())["run"]
-    assert set(run) <= set(KEYS)
-    assert (run["method"], run["inertia"], run["dt"], run["newton_tolerance"]) == ("EMC", "none", 0.25, 1e-6)
-    command = "jaxshell run cap --method EMC --inertia none --dt 0.25 --newton-tolerance 1e-06\n"
-    assert command in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_advice_on_a_real_scene_holds():
-    scene = js.scenes.spherical_cap(divisions=3)
-    advice = advising.advise(scene, 0.02, dt=1e-6, t_end=3e-5, say=lambda _: None)
-    finer = charting.make_reference(scene, 2.5e-7, 3e-5, 1e-4, lambda _: None)
-    assert advice.met and charting.measure(scene, advice.best, finer).error < 0.02
+def test_total_errors_are_the_main_picture(tmp_path):
+    total = [
+        Point("total", label, dt, elements / dt, dt**2 + 10 / elements, 10, 20, elements)
+        for label in ("exact, curved", "central differences")
+        for elements in (50, 200)
+        for dt in (1.0, 0.5)
+    ]
+    figure = work_precision.draw("cap", total + [point("EMC", 1.0, 1.0, 0.1)], floor=1e-5, whole_floor=1e-3)
+    main, left, right = figure.axes
+    assert main.get_title().startswith("Total error") and left.get_title() == "Methods, over the time step"
+    labels = main.get_legend_handles_labels()[1]
+    assert {"exact, curved", "central differences", "reference's uncertainty"} <= set(labels) and len(labels) == 4
+    assert sorted(text.get_text() for text in main.texts) == ["200", "200", "50", "50"]
+    assert "EMC" in left.get_legend_handles_labels()[1] and right.get_xscale() == "log"
+    charting.write_points(tmp_path / "points.json", cap(), total, SINE, SINE._replace(uncertainty=2e-3))
+    assert '"continuous_uncertainty": 0.002' in (tmp_path / "points.json").read_text()

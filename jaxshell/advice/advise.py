@@ -1,290 +1,263 @@
-"""The cheapest way to run a scene to a tolerance, found by short trial runs and given with its reasons.
+"""The cheapest way to run a scene to a tolerance of the continuous answer: mesh, element, method and step together.
 
-Trials against a converged reference (`jaxshell.advice.references`), over the reference's window:
-1. methods, each at the largest step of a halving sequence that meets the tolerance, given up as soon as it is
-   dearer than the best so far;
-   Step control in the same way, over its tolerance;
-2. physics that the answer does not feel: rotary inertia, compared at equal step;
-3. for the winner: a looser Newton tolerance, and factors kept over iterations and steps;
-4. for scenes of the library: fewer elements, where the answer stays within the tolerance; and what more would change.
+1. The answer: two discretisations on a family of meshes, extrapolated (`jaxshell.advice.converged`). What is not known
+   of it counts against the tolerance.
+2. Every trial of it is a way to run the scene, with its error: how the error falls with the mesh, and with the step on
+   the coarsest mesh, where steps are cheap. Other methods are tried on coarse meshes too: central differences with the
+   critical step of each mesh and the error of their own lumped masses.
+3. From that each way's cheapest mesh and step are predicted. The best are run as they are, and what is advised is what
+   was measured to be within the tolerance; looser Newton tolerances at last, and step control where it may pay.
 """
 
+import time
 from collections.abc import Callable
 
 import numpy as np
 
 from jaxshell import methods
-from jaxshell.advice.chart import (
-    Configuration,
-    Point,
-    controlled,
-    default_window,
-    divided,
-    measure,
-    reference_of,
-    timed,
-)
-from jaxshell.advice.references import Reference, signal_error, signals
-from jaxshell.advice.text import Advice, divisions_text
-from jaxshell.analyses.step_control import StepControl
+from jaxshell.advice.chart import Configuration, Point, controlled, default_window, measure
+from jaxshell.advice.converged import Converged, Trial, converged
+from jaxshell.advice.family import Family
+from jaxshell.advice.lines import Entry, Line, lines_of
+from jaxshell.advice.references import Reference, signal_error
+from jaxshell.advice.text import Advice, mesh_text
 from jaxshell.model.scene import Scene
-from jaxshell.results.solution import Solution
+from jaxshell.numerics.checks import check_kind, check_positive_number
 from jaxshell.solvers.newton import Newton
 
-_MARGIN = 0.8
+MARGIN = 0.8
 """Fraction of the tolerance that a configuration may use: the reference and the window are not everything."""
-_FINEST = 7
-"""Halvings of the step tried for a method before it is given up."""
-_FEWEST = 8
-"""Steps that a trial has at least, where steps are doubled: fewer show little of the motion."""
+_LEAST = 0.25
+"""Fraction of the tolerance that the reference's uncertainty has to leave, or nothing is promised."""
+_KNOWN = 0.25
+"""Fraction of the tolerance that the reference is to be known to."""
+_FOR_REFERENCE = 0.7
+"""Fraction of the budget that the reference may take."""
+_TRIES = 5
+"""Runs of one line at most, once its errors are known on coarse meshes."""
 
 
 def advise(
     scene: Scene,
-    tolerance: float,
-    dt: float,
+    tolerance: float = 1e-2,
+    dt: float | None = None,
     t_end: float | None = None,
     say: Callable[[str], None] = print,
-    reference: Reference | None = None,
     make: Callable[..., Scene] | None = None,
+    budget: float = 110.0,
+    found: Converged | None = None,
 ) -> Advice:
-    """The cheapest configuration whose answer is within `tolerance` of the converged one.
+    """The cheapest configuration whose answer is within `tolerance` of the continuous one.
 
     Arguments:
-        tolerance: of the scene's figure of merit, relative (see `jaxshell.advice.references`); above 0, below 1.
-        dt: step from which trials start, up and down.
-        t_end: time that trials cover; default: a shipped reference's whole window, else 100 dt.
-        say: told each trial. reference: instead of the shipped or a new one.
-        make: the function of the library that made the scene; other meshes of it are tried by its `divisions`.
+        scene: what is to be run. Its answer are its watched displacements, else those of all nodes.
+        tolerance: the largest error, relative to the answer's largest size; above 0, below 1.
+        dt: step from which trials start, up and down; None is the scene's.
+        t_end: time that trials cover; None is a shipped reference's whole window, else 100 dt.
+        say: told each trial.
+        make: the function of the library that made the scene: other meshes by its `divisions`, of all sizes. None
+            refines and coarsens the scene itself.
+        budget: seconds after which nothing more is begun, about.
+        found: the continuous answer, where it is there already.
 
-    Raises ValueError for a tolerance out of range, or when the scene does not run at any step.
+    Raises ValueError for a tolerance out of range, without a step, or when the scene does not run at any step.
     """
+    check_kind("advise's first argument", scene, Scene, "a jaxshell.Scene")
     if not 0 < tolerance < 1:
         raise ValueError(f"tolerance must lie between 0 and 1, but it is {tolerance}.")
-    if reference is None:
-        reference = reference_of(scene, dt, default_window(scene, dt, t_end), 0.1 * tolerance, say)
-    goal = _MARGIN * tolerance - reference.uncertainty
-    if goal <= 0:
-        raise ValueError(
-            f"The reference is known to {reference.uncertainty:.1e} only: ask for a tolerance above "
-            f"{1.5 * reference.uncertainty / _MARGIN:.1e}, a smaller dt, or a shorter trial."
-        )
-    search = _Search(scene, reference, goal, say)
-    for label, method in candidates():
-        search.try_method(label, method, dt)
-    search.try_step_control(dt)
+    check_positive_number("budget", budget)
+    dt = first_step(scene) if dt is None else dt
+    clock = _Clock(budget)
+    family = Family(scene, make)
+    window = default_window(scene, dt, t_end)
+    if found is None:
+        found = converged(family, dt, window, _KNOWN * tolerance, _FOR_REFERENCE * budget, say)
+    goal = min(MARGIN * tolerance, tolerance - found.reference.uncertainty)
+    search = _Search(family, found, goal, clock, say)
+    if goal < _LEAST * tolerance:
+        return search.unknown(tolerance)
+    for line in search.lines.values():
+        search.pursue(line)
     if search.best is None:
-        point, best = min(search.tried, key=lambda pair: (pair[0].error, pair[0].seconds))
-        reasons = [f"Nothing tried meets {tolerance:g}; the most accurate has an error of {point.error:.1e}"]
-        return Advice(best, point, reasons, search.points, reference, tolerance, False)
-    reasons = search.method_reasons()
-    reasons += search.refine_newton()
-    more, divisions = search.other_meshes(make) if make is not None else ([], None)
-    assert search.best is not None
-    point, best = search.best
-    return Advice(best, point, reasons + more, search.points, reference, tolerance, True, divisions)
+        return search.nothing(tolerance)
+    reasons = search.mesh_and_step_reasons()
+    search.loosen_newton(reasons)
+    search.control_step(reasons)
+    return search.advice(tolerance, reasons, met=search.whole)
 
 
-def candidates() -> list[tuple[str, methods.Method]]:
-    """The methods that are tried, the likely winners first since they bound the others' cost."""
-    gem = methods.GeneralizedEnergyMomentum
-    return [
-        ("EMC", gem()),
-        ("EMC without rotary inertia", gem(inertia="none")),
-        ("EDMC, ρ∞ 0.8, without rotary inertia", gem(0.8, inertia="none")),
-        ("exact", methods.EnergyMomentum()),
-        ("generalised α, ρ∞ 0.8", methods.GeneralizedAlpha()),
-        ("central differences", methods.CentralDifference()),
-    ]
+def first_step(scene: Scene) -> float:
+    """The scene's own step. Raises ValueError where it says none."""
+    if scene.defaults is None or scene.defaults.dt is None:
+        raise ValueError("The scene says no step to start from: give dt.")
+    return float(scene.defaults.dt)
+
+
+class _Clock:
+    def __init__(self, budget: float):
+        self.begun, self.budget = time.perf_counter(), budget
+
+    def spent(self) -> bool:
+        return time.perf_counter() - self.begun > self.budget
 
 
 class _Search:
-    """What was tried so far and the best of it."""
+    """What was measured so far and the best of it."""
 
-    def __init__(self, scene: Scene, reference: Reference, goal: float, say):
-        self.scene, self.reference, self.goal, self.say = scene, reference, goal, say
-        self.tried: list[tuple[Point, Configuration]] = []
-        self.best: tuple[Point, Configuration] | None = None
-        self.given_up: dict[str, str] = {}
+    def __init__(self, family: Family, found: Converged, goal: float, clock: _Clock, say: Callable[[str], None]):
+        self.family, self.found, self.goal, self.clock, self.say = family, found, goal, clock, say
+        self.reference: Reference = found.reference
+        self.entries: list[Entry] = []
+        self.best: Entry | None = None
+        self.said: list[str] = []
+        """Why lines were not followed further."""
+        sought = goal if goal > 0.0 else np.inf  # no finer mesh is made for what cannot be promised
+        self.lines: dict[str, Line] = {line.label: line for line in lines_of(family, found, sought)}
+        self.whole = len({trial.member.factor for trial in found.trials}) > 1
 
-    @property
-    def points(self) -> list[Point]:
-        return [point for point, _ in self.tried]
-
-    def attempt(self, configuration: Configuration, scene: Scene | None = None) -> Point:
-        """Measure, remember, and keep it when it is the cheapest that meets the goal."""
-        point = measure(self.scene if scene is None else scene, configuration, self.reference)
-        self.tried.append((point, configuration))
+    def measured(self, line: Line, member, dt, **changes) -> Entry:
+        """Run and remember; keep it when it is the cheapest that meets the goal."""
+        tried: Configuration = line.configuration(dt)._replace(**changes)
+        point = measure(member.scene, tried, self.reference, signals_of=self.family.signals)
+        entry = Entry(member, tried, point)
+        self.entries.append(entry)
+        line.add(entry)
         self.say(
-            f"  {point.label}, dt = {point.dt:.3g}: error {point.error:.1e}, {point.seconds:.3g} s"
+            f"  {point.label}, {member.label}, dt = {point.dt:.3g}: error {point.error:.1e}, {point.seconds:.3g} s"
             + (" (meets it)" if point.error <= self.goal else "")
         )
-        if point.error <= self.goal and (self.best is None or point.seconds < self.best[0].seconds):
-            self.best = point, configuration
-        return point
+        if point.error <= self.goal and (self.best is None or point.seconds < self.best.point.seconds):
+            self.best = entry
+        return entry
 
-    def try_method(self, label: str, method: methods.Method, dt: float) -> None:
-        """The largest step that meets the goal: doubled while it does, else halved while it can still pay."""
-        if isinstance(method, methods.CentralDifference):
-            dt = method.critical_step(self.scene)
-            expected = self._seconds_per_step(explicit=True) * float(self.reference.times[-1]) / dt
-            if self.best is not None and expected > self.best[0].seconds:
-                self.given_up[label] = (
-                    f"its critical step, {dt:.2g}, asks for {float(self.reference.times[-1]) / dt:.0f} steps"
-                )
-                return
-        point = self.attempt(Configuration("method", label, method, dt))
-        if point.error <= self.goal:
-            largest = float(self.reference.times[-1]) / _FEWEST
-            while not isinstance(method, methods.CentralDifference) and 2.0 * dt <= largest * (1 + 1e-9):
-                dt *= 2.0
-                if self.attempt(Configuration("method", label, method, dt)).error > self.goal:
-                    return
-            return
-        last = point.error
-        for _ in range(_FINEST):
-            dt *= 0.5
-            if self.best is not None and 1.5 * point.seconds > self.best[0].seconds:
-                self.given_up[label] = f"at dt = {2 * dt:.3g} its error is {point.error:.1e} and it is no cheaper"
-                return
-            point = self.attempt(Configuration("method", label, method, dt))
-            if point.error <= self.goal:
-                return
-            stuck = np.isfinite(point.error) and point.error > 0.9 * last and point.error > 3 * self.goal
-            if stuck and last < 0.1:
-                self.given_up[label] = f"its error does not fall below {point.error:.1e}: it models something else"
-                return
-            last = point.error
-        self.given_up[label] = f"at dt = {dt:.3g} its error is still {point.error:.1e}"
+    def pursue(self, line: Line) -> None:
+        """Run the cheapest mesh and step that are expected to meet the goal, until that is settled."""
+        try:
+            self._follow(line)
+        except ValueError as error:  # of a method that a scene is not for
+            self.said.append(f"{line.label}: {error}")
 
-    def try_step_control(self, dt: float) -> None:
-        """The largest tolerance of the local error that meets the goal, while it can still pay."""
-        for tolerance in (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5):
-            tried = controlled(tolerance, dt, float(self.reference.times[-1]))
-            point = self.attempt(tried)
-            if point.error <= self.goal:
+    def _follow(self, line: Line) -> None:
+        for member, dt in line.beginnings(self.goal):
+            if self.clock.spent():
+                self.said.append(f"{line.label} was not tried: the budget of time was spent")
                 return
-            if self.best is not None and point.seconds > self.best[0].seconds:
-                self.given_up[tried.label] = (
-                    f"with {point.steps} steps its error is {point.error:.1e} and it is no cheaper"
-                )
+            self.measured(line, member, dt)
+        for _ in range(_TRIES):
+            limit = np.inf if self.best is None else self.best.point.seconds
+            choice = line.choice(self.goal, limit)
+            if choice is None:
+                if self.best is None or self.best.configuration.label != line.label:
+                    self.said.append(line.why_not(self.goal, limit))
                 return
+            if self.clock.spent() and self.best is not None:
+                self.said.append(f"{line.label} was not followed to its end: the budget of time was spent")
+                return
+            self.measured(line, *choice)
 
-    def other_meshes(self, make: Callable[..., Scene]) -> tuple[list[str], int | tuple[int, ...] | None]:
-        """Coarser meshes while they meet the goal and pay, and what a finer one changes: (reasons, divisions)."""
+    def mesh_and_step_reasons(self) -> list[str]:
+        """What the mesh and the step of the best add, what coarser ones would, and why not the other lines."""
         assert self.best is not None
-        reasons, divisions, winner = [], None, self.best
-        for factor in (0.8, 0.6, 0.5):
-            count = divided(make, factor)
-            coarse, before = make(divisions=count), self.best
-            label = f"{winner[0].label}, {coarse.mesh.n_elements} triangles"
-            point = self.attempt(winner[1]._replace(kind="mesh", label=label), coarse)
-            said = f"{coarse.mesh.n_elements} triangles (divisions {divisions_text(count)})"
-            if self.best is before:
-                reasons.append(f"{said} are not enough: error {point.error:.1e}")
-                break
-            reasons.append(f"{said} are enough: error {point.error:.1e}")
-            divisions = count
-        finer = make(divisions=divided(make, 1.5))
-        t_end = float(self.reference.times[-1])
-        runs = [timed(scene, winner[1], t_end)[0] for scene in (self.scene, finer)]
-        if not any(run.message for run in runs):
-            times, found = zip(*((np.asarray(r.frame_times), _signals(r)) for r in runs), strict=True)
-            change = signal_error(Reference(times[1], dict(found[1]), 0.0, ""), times[0], found[0])
-            reasons.append(
-                f"{finer.mesh.n_elements} triangles would change the answer by {change:.1e}: the mesh's own error, "
-                "which the tolerance does not speak of"
-            )
-        return reasons, divisions
-
-    def _seconds_per_step(self, explicit: bool) -> float:
-        """A first guess from implicit trials: an explicit step costs about a tenth."""
-        rates = [p.seconds / p.steps for p in self.points if p.steps]
-        return (min(rates) if rates else 0.0) * (0.1 if explicit else 1.0)
-
-    def method_reasons(self) -> list[str]:
-        """Why this method and step, and what rotary inertia does."""
-        assert self.best is not None
-        point, best = self.best
+        member, _, point = self.best
         reasons = [
-            f"{point.label} at dt = {point.dt:.3g} has an error of {point.error:.1e} and takes {point.seconds:.3g} s"
+            f"{point.label} on {member.label} ({mesh_text(member)}) with dt = {point.dt:.3g}: measured error "
+            f"{point.error:.1e}, {point.seconds:.3g} s"
         ]
-        larger = [p for p in self.points if p.label == point.label and p.dt > 1.01 * point.dt]
-        if isinstance(best.dt, StepControl):
-            reasons[0] += f", step control with a tolerance of {float(best.dt.tolerance):g}"
-        elif larger:
-            nearest = min(larger, key=lambda p: p.dt)
-            reasons.append(f"dt = {nearest.dt:.3g} would miss: error {nearest.error:.1e}")
-        elif not isinstance(best.method, methods.CentralDifference):
-            steps = float(self.reference.times[-1]) / point.dt
-            reasons.append(f"larger steps were not tried: the trial has {steps:.0f} of these (--t-end makes it longer)")
-        for label in dict.fromkeys(p.label for p in self.points):
-            meeting = [p for p in self.points if p.label == label and p.error <= self.goal]
-            if label != point.label and meeting:
-                cheapest = min(meeting, key=lambda p: p.seconds)
-                times = cheapest.seconds / point.seconds
-                reasons.append(f"{label} meets it at dt = {cheapest.dt:.3g} in {times:.1f} times the time")
-        reasons += [f"{label}: {why}" for label, why in self.given_up.items()]
-        if isinstance(best.method, methods.GeneralizedEnergyMomentum):
-            change = inertia_change(self.scene, best, self.reference)
-            left_out = best.method.inertia == "none"
-            verdict = "left out" if left_out else ("could be left out" if change <= 0.1 * self.goal else "kept")
-            reasons.append(f"rotary inertia changes the answer by {change:.1e}: {verdict}")
-        return reasons
+        line = self.lines[point.label]
+        of_step = "" if line.step_errors is None else f", of the step {line.step_errors(point.steps):.1e}"
+        reasons.append(f"about {line.mesh_error(member):.1e} of that is of the mesh{of_step}")
+        same = [(m, n, e) for m, n, e, _ in line.known if e > self.goal]
+        coarser = [k for k in same if k[0].factor < member.factor]
+        if coarser:
+            m, n, e = max(coarser, key=lambda k: (k[0].factor, k[1]))
+            reasons.append(f"{m.label} would miss, with {n} steps: error {e:.1e}")
+        larger = [k for k in same if k[0].factor == member.factor and k[1] < point.steps]
+        if larger:
+            m, n, e = max(larger, key=lambda k: k[1])
+            reasons.append(f"dt = {line.window / n:.3g} would miss: error {e:.1e}")
+        elif line.step_errors is not None:
+            reasons.append(f"twice the step would add about {line.step_errors(point.steps / 2):.1e}")
+        return reasons + self.said
 
-    def refine_newton(self) -> list[str]:
-        """Looser Newton tolerances while they pay and the answer stands, then kept factors."""
+    def loosen_newton(self, reasons: list[str]) -> None:
+        """Looser Newton tolerances while they pay and the answer stands."""
         assert self.best is not None
-        if not self.best[1].method.uses_matrix:
-            return []
-        reasons = []
-        exact = self.best[0]
-        for tolerance in (1e-6, 1e-4, 1e-3):
+        if not self.best.configuration.method.uses_matrix:
+            return
+        line = self.lines[self.best.point.label]
+        for tolerance in (1e-6, 1e-4):
             before = self.best
-            tried = before[1]._replace(newton=Newton(tolerance), label=f"{exact.label}, Newton to {tolerance:g}")
-            point = self.attempt(tried)
+            found = self.measured(line, before.member, before.point.dt, newton=Newton(tolerance))
             if self.best is before:
-                why = f"error {point.error:.1e}" if point.error > self.goal else "no cheaper"
-                reasons.append(f"Newton to {tolerance:g} instead of {_newton_of(before[1]):g}: {why}")
-                break
-            reasons.append(f"Newton to {tolerance:g} is enough: error {point.error:.1e}")
-        before = self.best
-        point = self.attempt(
-            before[1]._replace(
-                newton=Newton(_newton_of(before[1]), reuse=False), label=f"{before[0].label}, full Newton"
-            )
+                missed = found.point.error > self.goal
+                why = f"error {found.point.error:.1e}" if missed else "no cheaper"
+                reasons.append(
+                    f"Newton to {tolerance:g} instead of {float(before.configuration.newton.tolerance):g}: {why}"
+                )
+                return
+            reasons.append(f"Newton to {tolerance:g} is enough: error {found.point.error:.1e}")
+
+    def control_step(self, reasons: list[str]) -> None:
+        """Steps by their local error, on the mesh and with the element of the best, where they can be chosen."""
+        assert self.best is not None
+        best = self.best
+        if not best.configuration.method.controls_step or self.clock.spent():
+            return
+        for tolerance in (1e-3, 1e-4, 1e-5):
+            tried = controlled(tolerance, best.point.dt, float(self.reference.times[-1]))
+            method = best.configuration.method
+            if isinstance(method, methods.EnergyMomentum):
+                tried = tried._replace(method=method)
+            tried = tried._replace(shape=best.configuration.shape)
+            point = measure(best.member.scene, tried, self.reference, signals_of=self.family.signals)
+            self.entries.append(Entry(best.member, tried, point))
+            self.say(f"  step control to {tolerance:g}: error {point.error:.1e}, {point.seconds:.3g} s")
+            dearer = point.seconds > best.point.seconds
+            if point.error <= self.goal and not dearer:
+                self.best = self.entries[-1]
+                reasons.append(f"step control with a tolerance of {tolerance:g} is quicker: error {point.error:.1e}")
+                return
+            if dearer or self.clock.spent():
+                reasons.append(
+                    f"step control with a tolerance of {tolerance:g}: error {point.error:.1e}, {point.seconds:.3g} s"
+                )
+                return
+
+    def advice(self, tolerance: float, reasons: list[str], met: bool) -> Advice:
+        """The best, with all that was found."""
+        assert self.best is not None
+        if not self.whole:
+            reasons = ["Of the step alone: on one mesh nothing tells the mesh's own error", *reasons]
+        points = [*self.of_trials(), *(entry.point for entry in self.entries)]
+        member, tried, point = self.best
+        return Advice(tried, point, reasons + self.found.notes, points, self.reference, tolerance, met, member)
+
+    def nothing(self, tolerance: float) -> Advice:
+        """Nothing met the goal: the most accurate."""
+        reason = f"Nothing tried meets {tolerance:g}; the most accurate has an error of"
+        return self._most_accurate(tolerance, reason)
+
+    def unknown(self, tolerance: float) -> Advice:
+        """The answer itself is not known well enough to promise anything: the most accurate trial."""
+        reason = (
+            f"The answer is known to {self.reference.uncertainty:.1e} only, and {tolerance:g} cannot be promised: ask "
+            "for a larger tolerance, a larger budget or a shorter trial. The most accurate trial has an error of"
         )
-        gain = point.seconds / before[0].seconds
-        if self.best is before:
-            reasons.append(f"factorizations kept over steps: {gain:.2f} times as fast as one an iteration")
-        else:
-            reasons.append(f"a factorization in every iteration: {1 / gain:.2f} times as fast as kept ones")
-        return reasons
+        return self._most_accurate(tolerance, reason)
+
+    def _most_accurate(self, tolerance: float, reason: str) -> Advice:
+        tried = [*zip(self.found.trials, self.of_trials(), strict=True)]
+        entries = [Entry(t.member, t.form.configuration(t.dt), point) for t, point in tried] + self.entries
+        self.best = min(entries, key=lambda e: (e.point.error, e.point.seconds))
+        return self.advice(tolerance, [f"{reason} {self.best.point.error:.1e}", *self.said], met=False)
+
+    def of_trials(self) -> list[Point]:
+        """The trials that the reference was made of, as points."""
+        return [_point(trial, self.reference) for trial in self.found.trials]
 
 
-def inertia_change(scene: Scene, configuration: Configuration, reference: Reference) -> float:
-    """How much rotary inertia changes the answer: the same run with and without it."""
-    t_end = float(reference.times[-1])
-    runs: list[Solution] = [
-        timed(scene, configuration._replace(method=_with_inertia(configuration.method, form)), t_end)[0]
-        for form in ("seven_point", "none")
-    ]
-    if any(run.message for run in runs):
-        return np.inf
-    with_, without = runs
-    base = Reference(np.asarray(with_.frame_times), dict(_signals(with_)), 0.0, "")
-    if len(base.times) < 4:
-        return np.inf
-    return signal_error(base, base.times, _signals(without))
-
-
-def _signals(run: Solution):
-    return signals(run.scene, np.asarray(run.displacements))
-
-
-def _with_inertia(method, form: str):
-    return methods.GeneralizedEnergyMomentum(method.spectral_radius, method.dissipation, inertia=form)
-
-
-def _newton_of(configuration: Configuration) -> float:
-    return float(configuration.newton.tolerance)
+def _point(trial: Trial, reference: Reference) -> Point:
+    error = signal_error(reference, trial.times, trial.signals, everywhere=True)
+    label = trial.form.configuration(trial.dt).label
+    elements = trial.member.scene.mesh.n_elements
+    return Point("total", label, trial.dt, trial.seconds, error, trial.steps, trial.iterations, elements)

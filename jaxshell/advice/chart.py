@@ -1,8 +1,8 @@
 """Work against precision: a scene run by every choice a user has, error against time, and the best of them.
 
-`measure` runs one configuration and sets it against a reference; `configurations` lists the choices; `mesh_points`
-does the same for the number of elements; `draw` makes the picture. `jaxshell chart SCENE` does all of it,
-`jaxshell.advice.advise` uses the first.
+`measure` runs one configuration and sets it against a reference; `configurations` lists the choices on the scene's own
+mesh, which `chart` measures against the answer of that mesh; `mesh_points` compares meshes at one step. Total errors,
+of mesh and step together, are `jaxshell.advice.total`'s. `jaxshell chart SCENE` shows both.
 """
 
 import json
@@ -14,8 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxshell import methods
+from jaxshell.advice.limits import limit_reference
 from jaxshell.advice.references import (
     Reference,
+    Signals,
     agreement,
     extrapolate,
     run_error,
@@ -26,6 +28,7 @@ from jaxshell.advice.references import (
 from jaxshell.analyses.simulation import simulate
 from jaxshell.analyses.step_control import StepControl
 from jaxshell.model.scene import Scene
+from jaxshell.model.with_shape import with_shape
 from jaxshell.results.solution import Solution
 from jaxshell.scenes import default_divisions
 from jaxshell.solvers.linear_solver import KLU, Dense, LinearSolver, default_solver
@@ -49,13 +52,16 @@ class Configuration(NamedTuple):
     """One way to run a scene."""
 
     kind: str
-    """What is varied: "method", "step control", "tangent", "inertia", "newton", "linear solver", "mesh"."""
+    """What is varied: "method", "step control", "tangent", "inertia", "newton", "linear solver", "mesh"; or "total",
+    all of it."""
     label: str
     method: methods.Method
     dt: float | StepControl
     newton: Newton = Newton()
     tangent: str = "closed_form"
     linear_solver: LinearSolver | None = None
+    shape: str | None = None
+    """Of the elements; None: as the scene has them."""
 
 
 class Point(NamedTuple):
@@ -69,18 +75,50 @@ class Point(NamedTuple):
     error: float
     steps: int
     iterations: int
+    elements: int = 0
+    """Triangles of the mesh; 0 where all points of a chart have the same."""
 
 
-def measure(scene: Scene, tried: Configuration, reference: Reference, t_end: float | None = None) -> Point:
-    """Run `scene` over the reference's window: warm time [s] and error. A failed run's error is infinite."""
+def measure(
+    scene: Scene,
+    tried: Configuration,
+    reference: Reference,
+    t_end: float | None = None,
+    signals_of: Callable[[Scene, np.ndarray], Signals] | None = None,
+) -> Point:
+    """Run `scene` over the reference's window: warm time [s] and error. A failed run's error is infinite.
+
+    `signals_of` tells the answer of a mesh that is not the reference's own; errors then count at all times of the run.
+    """
     run, seconds = timed(scene, tried, float(reference.times[-1]) if t_end is None else t_end)
-    return _point(tried, run, seconds, np.inf if run.message else run_error(reference, run))
+    error = np.inf
+    if not run.message and signals_of is None:
+        error = run_error(reference, run)
+    elif not run.message:
+        assert signals_of is not None
+        found = signals_of(scene, np.asarray(run.displacements))
+        error = signal_error(reference, np.asarray(run.frame_times), found, everywhere=True)
+    return _point(tried, run, seconds, error)
 
 
 def _point(tried: Configuration, run: Solution, seconds: float, error: float) -> Point:
     steps, iterations = int(run.stats["steps"]), int(run.stats["iterations"])
     dt = float(run.times[-1]) / max(1, steps) if isinstance(tried.dt, StepControl) else tried.dt
-    return Point(tried.kind, tried.label, dt, seconds, error, steps, iterations)
+    return Point(tried.kind, tried.label, dt, seconds, error, steps, iterations, run.scene.mesh.n_elements)
+
+
+def run_once(scene: Scene, tried: Configuration, t_end: float) -> Solution:
+    """A run of a configuration; of one that fails, as far as it went."""
+    return simulate(
+        scene if tried.shape is None else with_shape(scene, tried.shape),
+        tried.method,
+        dt=tried.dt,
+        t_end=t_end,
+        newton=tried.newton,
+        tangent=tried.tangent,
+        linear_solver=tried.linear_solver,
+        throw=False,
+    )
 
 
 def timed(scene: Scene, tried: Configuration, t_end: float) -> tuple[Solution, float]:
@@ -88,16 +126,7 @@ def timed(scene: Scene, tried: Configuration, t_end: float) -> tuple[Solution, f
 
     def go(until: float) -> tuple[Solution, float]:
         begun = time.perf_counter()
-        solution = simulate(
-            scene,
-            tried.method,
-            dt=tried.dt,
-            t_end=until,
-            newton=tried.newton,
-            tangent=tried.tangent,
-            linear_solver=tried.linear_solver,
-            throw=False,
-        )
+        solution = run_once(scene, tried, until)
         return solution, time.perf_counter() - begun
 
     # As many steps as a chunk has compile the program that a longer run uses.
@@ -154,10 +183,11 @@ def reference_of(scene: Scene, dt: float, t_end: float, target: float, say: Call
 
 
 def default_window(scene: Scene, dt: float, t_end: float | None) -> float:
-    """The time that trials cover: as asked, else a shipped reference's whole window, else `TRIAL_STEPS` of dt."""
+    """The time that trials cover: as asked, else as long as a shipped answer, else `TRIAL_STEPS` of dt."""
     if t_end is not None:
         return t_end
-    return TRIAL_STEPS * dt if shipped_reference(scene) is None else np.inf
+    shipped = limit_reference(scene) or shipped_reference(scene)
+    return TRIAL_STEPS * dt if shipped is None else float(shipped.times[-1])
 
 
 def controlled(tolerance: float, dt: float, t_end: float) -> Configuration:
@@ -262,8 +292,10 @@ def mesh_points(make: Callable, dt: float, t_end: float, say: Callable = print) 
     return points
 
 
-def write_points(path: Path, scene: Scene, points: Sequence[Point], reference: Reference) -> None:
-    """The measured points as JSON, with what they were measured against."""
+def write_points(
+    path: Path, scene: Scene, points: Sequence[Point], reference: Reference, whole: Reference | None = None
+) -> None:
+    """The measured points as JSON, with what they were measured against: those of kind "total" against `whole`."""
     content = {
         "scene": scene.name,
         "elements": scene.mesh.n_elements,
@@ -272,6 +304,8 @@ def write_points(path: Path, scene: Scene, points: Sequence[Point], reference: R
         "uncertainty": reference.uncertainty,
         "points": plain(p._asdict() for p in points),
     }
+    if whole is not None:
+        content |= {"continuous": whole.origin, "continuous_uncertainty": whole.uncertainty}
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 

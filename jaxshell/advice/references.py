@@ -75,16 +75,18 @@ def error(
     return signal_error(reference, times[within], found)
 
 
-def signal_error(reference: Reference, times: Float[np.ndarray, " k"], found: Signals) -> float:
+def signal_error(
+    reference: Reference, times: Float[np.ndarray, " k"], found: Signals, everywhere: bool = False
+) -> float:
     """`error` of signals at `times`, which lie within the reference's.
 
     Compared at the times that both have; between the reference's times (by a cubic spline, which waves shorter
-    than its spacing escape) only where they share fewer than four.
+    than its spacing escape) only where they share no more than half of what they could, or `everywhere`.
     """
     spacing = reference.times[-1] / max(1, len(reference.times) - 1)
     nearest = np.abs(reference.times[:, None] - times).argmin(axis=0)
     shared = np.abs(reference.times[nearest] - times) <= 1e-6 * spacing
-    if shared.sum() < min(4, len(times)):
+    if everywhere or 2 * shared.sum() <= min(len(times), len(reference.times)):
         shared[:] = True
     worst = 0.0
     for name, values in found.items():

@@ -33,6 +33,10 @@ def add(commands) -> None:
     run.add_argument(
         "--refine", type=int, default=0, metavar="N", help="cut every triangle in four, N times (docs/refinement.md)"
     )
+    run.add_argument(
+        "--coarsen", type=int, default=0, metavar="N", help="make four triangles one, N times (docs/refinement.md)"
+    )
+    run.add_argument("--shape", help="flat, curved or relaxed elements, in place of the section's (docs/accuracy.md)")
     add_options(run)
     run.add_argument("--output", type=Path, default=Path("."), metavar="DIR", help="where files go (default: here)")
     run.add_argument(
@@ -53,8 +57,7 @@ def _run(options: argparse.Namespace) -> int:
     one_thread_for_small_meshes(options.scene, options.divisions)
     prepare_jax()
     scene, of_file, stem = open_scene(options.scene, options.divisions)
-    if options.refine:
-        scene, stem = _refined(options, scene), f"{stem}_refined_{options.refine}"
+    scene, stem = _changed(options, scene, stem)
     settings = settled(options, of_file, scene)
     scene = with_picture_times(scene, settings)
     analysis = str(settings.analysis)
@@ -65,13 +68,27 @@ def _run(options: argparse.Namespace) -> int:
     return _run_in_time(options, settings, scene, stem)
 
 
-def _refined(options: argparse.Namespace, scene):
-    """The scene of --refine. Raises ValueError where a run on another mesh would go on."""
-    from jaxshell.model.refinement import refine
+def _changed(options: argparse.Namespace, scene, stem: str):
+    """The scene of --refine, --coarsen and --shape, and the stem of its files. Raises ValueError where a run of another
+    scene would go on."""
+    from jaxshell.model.refinement import coarsen, refine
+    from jaxshell.model.with_shape import with_shape
 
-    if options.go_on:
-        raise ValueError("--continue goes on on the mesh that the run was made with: leave --refine out.")
-    return refine(scene, options.refine)
+    given = [name for name in ("refine", "coarsen", "shape") if getattr(options, name)]
+    if options.go_on and given:
+        raise ValueError(
+            f"--continue goes on on the mesh and with the elements that the run was made with: leave --{given[0]} out."
+        )
+    if options.refine:
+        scene, stem = refine(scene, options.refine), f"{stem}_refined_{options.refine}"
+    if options.coarsen < 0:
+        raise ValueError(f"--coarsen must be a whole number of at least 0, but it is {options.coarsen}.")
+    for _ in range(options.coarsen):
+        scene = coarsen(scene)
+    stem = f"{stem}_coarsened_{options.coarsen}" if options.coarsen else stem
+    if options.shape:
+        scene, stem = with_shape(scene, options.shape), f"{stem}_{options.shape}"
+    return scene, stem
 
 
 def _run_in_time(options: argparse.Namespace, settings, scene, stem: str) -> int:

@@ -1,0 +1,262 @@
+"""The answer of the continuous problem, from trials: two discretisations on a family of meshes, extrapolated.
+
+`EnergyMomentum` on meshes whose elements halve in size, with the step halved along; by two forms of the element that
+have little in common but the limit. Errors of mesh and step are of second order together, so that Richardson's
+extrapolation of the two finest takes both out. The answer is the mean of the two forms' extrapolations. It is known to
+half of their distance; and by its own change c with the last refinement to c/(ρ-1), where ρ is the factor (but for some
+safety) by which the runs' changes fell: 4 where all is of second order, 2 of first, 1 where noise is left. So what
+does not converge as it should is not thought known. Of two meshes only, to twice what extrapolation moved.
+"""
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import CubicSpline
+
+from jaxshell import methods
+from jaxshell.advice.chart import Configuration, run_once
+from jaxshell.advice.family import FACTORS, Family, Member, shapes_of
+from jaxshell.advice.references import Reference, Signals, agreement
+from jaxshell.model.scene import Scene
+
+_COARSEST = 40
+"""Triangles with which the first mesh begins, if the family goes so far down."""
+_HALVINGS = 4
+"""Of the step on the coarsest mesh, before it is taken for what it is."""
+_GROWTH = 1.2
+"""Time of a step grows with the number of elements to this power, at most: what a finer mesh is expected to cost."""
+_FIRST = 0.25
+"""Steps that the coarsest mesh begins with, over those that the scene asks for there."""
+_SECOND_ORDER, _SLOWEST, _SAFE = 4.0, 1.2, 0.8
+"""By these factors the changes of a refinement are thought to fall, at most and at least; and what is trusted
+of the factor that was seen: coarse meshes show one that is too large."""
+_FEWEST = 8
+"""Steps of a run at least."""
+
+
+class Form(NamedTuple):
+    """A discretisation by elements."""
+
+    shape: str | None
+    """None: the scene's own, which regions may have of several kinds."""
+    inertia: str
+
+    @property
+    def label(self) -> str:
+        return ("" if self.shape is None else f"{self.shape}, ") + f"{self.inertia} inertia"
+
+    def configuration(self, dt: float) -> Configuration:
+        label = f"exact, {self.label}"
+        return Configuration("total", label, methods.EnergyMomentum(inertia=self.inertia), dt, shape=self.shape)
+
+
+class Trial(NamedTuple):
+    """A run for the reference."""
+
+    form: Form
+    member: Member
+    dt: float
+    steps: int
+    times: Float[np.ndarray, " k"]
+    signals: Signals
+    iterations: int
+    seconds: float
+    """Of its steps, compilation apart; of runs side by side, so that it serves for predictions only."""
+
+
+class Converged(NamedTuple):
+    """The answer, and what it was made of."""
+
+    reference: Reference
+    trials: list[Trial]
+    notes: list[str]
+
+
+def forms_of(scene: Scene) -> tuple[Form, Form]:
+    """The two discretisations, the nearer one first."""
+    shapes = shapes_of(scene)
+    if not shapes:
+        return Form(None, "cubic"), Form(None, "linear")
+    if "curved" not in shapes:
+        return Form(shapes[0], "cubic"), Form(shapes[0], "linear")
+    other = next(shape for shape in shapes if shape != "curved")
+    return Form("curved", "cubic"), Form(other, "cubic")
+
+
+def converged(
+    family: Family,
+    dt: float,
+    t_end: float,
+    target: float,
+    seconds: float,
+    say: Callable = print,
+) -> Converged:
+    """The continuous answer up to t_end, refined until it is known to `target` or `seconds` are spent.
+
+    Raises ValueError where the scene does not run on its coarsest mesh at any step tried.
+    """
+    begun = time.perf_counter()
+    forms: tuple[Form, ...] = forms_of(family.scene)
+    coarse = _coarsest(family)
+    steps, first = _first_steps(family, coarse, forms[0], dt, t_end, 4.0 * target, say)
+    trials, notes, levels = list(first), [], []
+    found: Reference | None = None
+    member: Member | None = coarse
+    while member is not None:
+        count = max(_FEWEST, round(steps * member.factor / coarse.factor))
+        wanted = [form for form in forms if not any(_is(t, form, member, count) for t in trials)]
+        with ThreadPoolExecutor(2) as pool:
+            jobs = [pool.submit(_trial, family, member, form, t_end, count) for form in wanted]
+            trials += [trial for job in jobs if (trial := job.result()) is not None]
+        level = [t for form in forms for t in trials if _is(t, form, member, count)]
+        notes += [
+            f"{form.label} does not run on {member.label} with {count} steps"
+            for form in forms
+            if not any(t.form == form for t in level)
+        ]
+        forms = tuple(t.form for t in level)
+        if not level:
+            break
+        levels.append(level)
+        if len(levels) > 1:
+            found = _extrapolated(levels, found)
+            say(f"  reference: {member.label}, {count} steps: known to {found.uncertainty:.1e}")
+            if found.uncertainty <= target:
+                break
+        finer = family.at(2.0 * member.factor) if member.factor < FACTORS[-1] else None
+        if finer is not None and not _affordable(levels[-1], finer, seconds - (time.perf_counter() - begun)):
+            notes.append(f"{finer.label} would have taken too long: a larger budget, or a shorter trial")
+            break
+        member = finer
+    if found is None:
+        found = _of_one_mesh(trials)
+        notes.append("on one mesh alone nothing tells its own error")
+    return Converged(found, trials, family.notes + notes)
+
+
+def _coarsest(family: Family) -> Member:
+    """Where refinement begins: the coarsest mesh that has some elements."""
+    member = family.at(1.0)
+    assert member is not None
+    while (half := family.at(0.5 * member.factor)) is not None and half.scene.mesh.n_elements >= _COARSEST:
+        member = half
+    return member
+
+
+def _first_steps(
+    family: Family, member: Member, form: Form, dt: float, t_end: float, target: float, say: Callable
+) -> tuple[int, list[Trial]]:
+    """Steps for the coarsest mesh, with an error of `target` at most, and the runs that told it.
+
+    Raises ValueError where no run succeeds.
+    """
+    count = max(_FEWEST, round(_FIRST * member.factor * t_end / dt))
+    trials: list[Trial] = []
+    for _ in range(_HALVINGS + 1):
+        trial = _trial(family, member, form, t_end, count)
+        if trial is not None:
+            trials.append(trial)
+            if len(trials) > 1:
+                change = apart(trials[-1], trials[-2])
+                say(f"  {member.label}, {count} steps instead of half as many change the answer by {change:.1e}")
+                if 4.0 / 3.0 * change <= target:
+                    return trials[-2].steps, trials
+        count *= 2
+    if not trials:
+        raise ValueError("The scene does not run at any step tried: give a smaller dt.")
+    return trials[-1].steps, trials
+
+
+def _trial(family: Family, member: Member, form: Form, t_end: float, steps: int) -> Trial | None:
+    """A run with so many steps; None where it fails."""
+    dt = t_end / steps
+    begun = time.perf_counter()
+    run = run_once(member.scene, form.configuration(dt), t_end)
+    seconds = time.perf_counter() - begun - float(run.stats.get("first_chunk_time", 0.0))
+    if run.message:
+        return None
+    found = family.signals(member.scene, np.asarray(run.displacements))
+    return Trial(
+        form, member, dt, steps, np.asarray(run.frame_times), found, int(run.stats["iterations"]), max(seconds, 1e-6)
+    )
+
+
+def _is(trial: Trial, form: Form, member: Member, steps: int) -> bool:
+    return trial.form == form and trial.member is member and trial.steps == steps
+
+
+def _affordable(level: list[Trial], finer: Member, left: float) -> bool:
+    """Whether the next level ends in the time that is left, compilation not counted: twice the steps, side by side."""
+    growth = [(finer.scene.mesh.n_elements / t.member.scene.mesh.n_elements) ** _GROWTH for t in level]
+    return sum(t.seconds * factor for t, factor in zip(level, growth, strict=True)) <= left
+
+
+def _extrapolated(levels: list[list[Trial]], before: Reference | None) -> Reference:
+    """The mean of the forms' extrapolations of the last two levels, and how well it is known."""
+    *_, coarse, fine = levels
+    pairs = [(c, f) for f in fine for c in coarse if c.form == f.form]
+    times = fine[0].times
+    limits = [_limit(c, f, times) for c, f in pairs]
+    mean = {name: np.mean([limit[name] for limit in limits], axis=0) for name in limits[0]}
+    distance = max(_between(times, limit, mean) for limit in limits)  # half of what is between two
+    if before is None:
+        # Two meshes do not tell the order: of first order, the answer is twice as far as the extrapolation moved it.
+        uncertainty = max(distance, 2.0 * min(_between(times, at_times(f, times), mean) for f in fine))
+    else:
+        changed = _between(times, at(before, times), mean)
+        uncertainty = max(distance, changed / (_rate(levels[-3:]) - 1.0))
+    meshes = ", ".join(str(level[0].member.scene.mesh.n_elements) for level in levels)
+    origin = f"{' and '.join(f.form.label for f in fine)} on {meshes} triangles, {fine[0].steps} steps, extrapolated"
+    return Reference(times, mean, uncertainty, origin)
+
+
+def _limit(coarse: Trial, fine: Trial, times: Float[np.ndarray, " k"]) -> dict[str, Float[np.ndarray, "k q"]]:
+    """Richardson's extrapolation of two meshes, second order."""
+    factor = (fine.member.factor / coarse.member.factor) ** 2
+    a, b = at_times(coarse, times), at_times(fine, times)
+    return {name: (factor * b[name] - a[name]) / (factor - 1.0) for name in b}
+
+
+def _rate(levels: list[list[Trial]]) -> float:
+    """By how much less a refinement changed the answer than the one before: 4 for second order, 2 first, 1 noise."""
+    rates = [_SECOND_ORDER]
+    for last in levels[2]:
+        chain = [t for level in levels for t in level if t.form == last.form]
+        if len(chain) == 3:
+            rates.append(apart(chain[0], chain[1]) / max(apart(chain[1], chain[2]), 1e-300))
+    return max(_SAFE * min(rates), _SLOWEST)
+
+
+def _of_one_mesh(trials: list[Trial]) -> Reference:
+    """The answer on the only mesh there is, extrapolated in the step alone: its distance from the finest run."""
+    fine = trials[-1]
+    if len(trials) < 2:
+        return Reference(fine.times, dict(fine.signals), np.inf, "one run")
+    coarse = at_times(trials[-2], fine.times)
+    limit = {name: (4.0 * fine.signals[name] - coarse[name]) / 3.0 for name in coarse}
+    origin = f"{fine.form.label} on {fine.member.label}, {fine.steps} steps, extrapolated in the step"
+    return Reference(fine.times, limit, _between(fine.times, fine.signals, limit), origin)
+
+
+def apart(one: Trial, other: Trial) -> float:
+    """The largest distance of two runs, at the times of the one with more steps."""
+    times = max(one, other, key=lambda t: t.steps).times
+    return _between(times, at_times(one, times), at_times(other, times))
+
+
+def at_times(trial: Trial, times: Float[np.ndarray, " k"]) -> Signals:
+    """A run's signals at other times, by cubic splines."""
+    return at(Reference(trial.times, dict(trial.signals), 0.0, ""), times)
+
+
+def at(reference: Reference, times: Float[np.ndarray, " k"]) -> Signals:
+    """A reference's signals at other times, by cubic splines."""
+    return {name: CubicSpline(reference.times, values)(times) for name, values in reference.signals.items()}
+
+
+def _between(times: Float[np.ndarray, " k"], one: Signals, other: Signals) -> float:
+    return float(agreement(times, one, other)[-1])
