@@ -2,10 +2,11 @@
 
 `EnergyMomentum` on meshes whose elements halve in size, with the step halved along; by two forms of the element that
 have little in common but the limit. Errors of mesh and step are of second order together, so that Richardson's
-extrapolation of the two finest takes both out. The answer is the mean of the two forms' extrapolations. It is known to
-half of their distance; and by its own change c with the last refinement to c/(ρ-1), where ρ is the factor (but for some
-safety) by which the runs' changes fell: 4 where all is of second order, 2 of first, 1 where noise is left. So what
-does not converge as it should is not thought known. Of two meshes only, to twice what extrapolation moved.
+extrapolation of the two finest takes both out. By its own change c with the last refinement a form's extrapolation is
+known to c/(ρ-1), where ρ is the factor (but for some safety) by which the runs' changes fell: 4 where all is of second
+order, 2 of first, 1 where noise is left. So what does not converge as it should is not thought known. Of two meshes
+only, to twice what extrapolation moved. The answer is the extrapolation of the form that is known best; where it is
+further from the other's than that one is known to, it is not known better than by that.
 """
 
 import time
@@ -123,7 +124,7 @@ def converged(
             break
         levels.append(level)
         if len(levels) > 1:
-            found = _extrapolated(levels, found)
+            found = _extrapolated(levels)
             say(f"  reference: {member.label}, {count} steps: known to {found.uncertainty:.1e}")
             if found.uncertainty <= target:
                 break
@@ -195,23 +196,40 @@ def _affordable(level: list[Trial], finer: Member, left: float) -> bool:
     return sum(t.seconds * factor for t, factor in zip(level, growth, strict=True)) <= left
 
 
-def _extrapolated(levels: list[list[Trial]], before: Reference | None) -> Reference:
-    """The mean of the forms' extrapolations of the last two levels, and how well it is known."""
-    *_, coarse, fine = levels
-    pairs = [(c, f) for f in fine for c in coarse if c.form == f.form]
+def _extrapolated(levels: list[list[Trial]]) -> Reference:
+    """The extrapolation of the form that is known best, and how well that is."""
+    fine = levels[-1]
     times = fine[0].times
-    limits = [_limit(c, f, times) for c, f in pairs]
-    mean = {name: np.mean([limit[name] for limit in limits], axis=0) for name in limits[0]}
-    distance = max(_between(times, limit, mean) for limit in limits)  # half of what is between two
-    if before is None:
-        # Two meshes do not tell the order: of first order, the answer is twice as far as the extrapolation moved it.
-        uncertainty = max(distance, 2.0 * min(_between(times, at_times(f, times), mean) for f in fine))
-    else:
-        changed = _between(times, at(before, times), mean)
-        uncertainty = max(distance, changed / (_rate(levels[-3:]) - 1.0))
+    known = sorted((_known(levels, t, times) for t in fine if _chain(levels, t)), key=lambda pair: pair[1])
+    limit, uncertainty = known[0]
+    for other, its in known[1:]:
+        uncertainty = max(uncertainty, _between(times, other, limit) - its)
     meshes = ", ".join(str(level[0].member.scene.mesh.n_elements) for level in levels)
     origin = f"{' and '.join(f.form.label for f in fine)} on {meshes} triangles, {fine[0].steps} steps, extrapolated"
-    return Reference(times, mean, uncertainty, origin)
+    return Reference(times, limit, uncertainty, origin)
+
+
+def _chain(levels: list[list[Trial]], last: Trial) -> list[Trial]:
+    """The runs of a form on coarser meshes, from coarse to fine, as far as there is one on each."""
+    found: list[Trial] = []
+    for level in reversed(levels[:-1]):
+        before = [t for t in level if t.form == last.form]
+        if not before:
+            break
+        found.insert(0, before[0])
+    return found
+
+
+def _known(levels: list[list[Trial]], fine: Trial, times: Float[np.ndarray, " k"]) -> tuple[Signals, float]:
+    """A form's extrapolation of its two finest meshes, and how well it is known by itself."""
+    *coarser, coarse = _chain(levels, fine)
+    limit = _limit(coarse, fine, times)
+    if not coarser:
+        # Two meshes do not tell the order: of first order, the answer is twice as far as the extrapolation moved it.
+        return limit, 2.0 * _between(times, at_times(fine, times), limit)
+    change = _between(times, _limit(coarser[-1], coarse, times), limit)
+    rate = min(_SECOND_ORDER, apart(coarser[-1], coarse) / max(apart(coarse, fine), 1e-300))
+    return limit, change / (max(_SAFE * rate, _SLOWEST) - 1.0)
 
 
 def _limit(coarse: Trial, fine: Trial, times: Float[np.ndarray, " k"]) -> dict[str, Float[np.ndarray, "k q"]]:
@@ -219,16 +237,6 @@ def _limit(coarse: Trial, fine: Trial, times: Float[np.ndarray, " k"]) -> dict[s
     factor = (fine.member.factor / coarse.member.factor) ** 2
     a, b = at_times(coarse, times), at_times(fine, times)
     return {name: (factor * b[name] - a[name]) / (factor - 1.0) for name in b}
-
-
-def _rate(levels: list[list[Trial]]) -> float:
-    """By how much less a refinement changed the answer than the one before: 4 for second order, 2 first, 1 noise."""
-    rates = [_SECOND_ORDER]
-    for last in levels[2]:
-        chain = [t for level in levels for t in level if t.form == last.form]
-        if len(chain) == 3:
-            rates.append(apart(chain[0], chain[1]) / max(apart(chain[1], chain[2]), 1e-300))
-    return max(_SAFE * min(rates), _SLOWEST)
 
 
 def _of_one_mesh(trials: list[Trial]) -> Reference:
