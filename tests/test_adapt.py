@@ -72,7 +72,7 @@ def test_bad_input_is_refused(changed, message):
 
 @pytest.mark.slow
 def test_a_cap_is_refined_at_its_apex_and_its_estimate_holds():
-    """Against the linear limit of docs/adapting.md; a first mesh is never accepted."""
+    """Against the linear limit of benchmarks/adapting.py, as near as its tables; a first mesh is never accepted."""
     limit = 0.0018574 * 1e-3  # under 444.8e-3 N
     scene = js.scenes.spherical_cap(3, force=444.8e-3)
 
@@ -83,7 +83,7 @@ def test_a_cap_is_refined_at_its_apex_and_its_estimate_holds():
     assert found.met and not found.message and len(found.rounds) > 1
     deflection, last = -float(found.solution.watched["apex"][-1]), found.rounds[-1]
     assert last.value == pytest.approx(-deflection) and last.estimate <= 0.08
-    assert abs(deflection / limit - 1.0) < 0.08
+    assert 1 / 3 < last.estimate / abs(deflection / limit - 1.0) < 3
     x = np.asarray(found.scene.mesh.nodes)[found.scene.mesh.triangles]
     size = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1)
     near = np.linalg.norm(x.mean(axis=1) - np.asarray(scene.mesh.nodes[0]), axis=1) < 0.3 * 0.023
