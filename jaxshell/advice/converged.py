@@ -1,18 +1,19 @@
 """The answer of the continuous problem, from trials: two discretisations on a family of meshes, extrapolated.
 
 `EnergyMomentum` on meshes whose elements halve in size, with the step halved along; by two forms of the element that
-have little in common but the limit. Errors of mesh and step are of second order together, so that Richardson's
-extrapolation of the two finest takes both out. By its own change c with the last refinement a form's extrapolation is
-known to c/(ρ-1), where ρ is the factor (but for some safety) by which the runs' changes fell: 4 where all is of second
-order, 2 of first, 1 where noise is left. So what does not converge as it should is not thought known. Of two meshes
-only, to twice what extrapolation moved. The answer is the extrapolation of the form that is known best; where it is
-further from the other's than that one is known to, it is not known better than by that.
+have little in common but the limit. Where no step on the coarsest mesh resolves what happens, a force on a point that
+is there at once for one, both forms are taken by central differences, whose steps do. Errors of mesh and step are of
+second order together, so that Richardson's extrapolation of the two finest, which differ by c, takes both out: c/3.
+Runs whose changes fall by the factor ρ have c/(ρ-1) left, and a form's extrapolation is known to the difference of the
+two, with ρ as seen but for some safety: 4 where all is of second order, 2 of first, 1 where noise is left. So what does
+not converge as it should is not thought known. Of two meshes only, it is known to twice what extrapolation moved. The
+answer is the extrapolation of the form that is known best; where it is further from the other's than that one is known
+to, it is not known better than by that.
 """
 
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +24,7 @@ from jaxshell.advice.chart import Configuration, run_once
 from jaxshell.advice.family import FACTORS, Family, Member, shapes_of
 from jaxshell.advice.references import Reference, Signals, agreement
 from jaxshell.model.scene import Scene
+from jaxshell.model.with_shape import with_shape
 
 _COARSEST = 40
 """Triangles with which the first mesh begins, if the family goes so far down."""
@@ -32,11 +34,14 @@ _GROWTH = 1.2
 """Time of a step grows with the number of elements to this power, at most: what a finer mesh is expected to cost."""
 _FIRST = 0.25
 """Steps that the coarsest mesh begins with, over those that the scene asks for there."""
-_SECOND_ORDER, _SLOWEST, _SAFE = 4.0, 1.2, 0.8
+_SECOND_ORDER, _SLOWEST, _SAFE = 4.0, 1.2, 2 / 3
 """By these factors the changes of a refinement are thought to fall, at most and at least; and what is trusted
 of the factor that was seen: coarse meshes show one that is too large."""
 _FEWEST = 8
 """Steps of a run at least."""
+_LUMPED = "lumped"
+_MOST_EXPLICIT = 20_000
+"""Steps of central differences that a reference may take on the coarsest mesh."""
 
 
 class Form(NamedTuple):
@@ -45,14 +50,39 @@ class Form(NamedTuple):
     shape: str | None
     """None: the scene's own, which regions may have of several kinds."""
     inertia: str
+    """Of `EnergyMomentum`; or "lumped": by central differences."""
+
+    @property
+    def explicit(self) -> bool:
+        return self.inertia == _LUMPED
 
     @property
     def label(self) -> str:
+        if self.explicit:
+            return explicit_label(self.shape, "physical")
         return ("" if self.shape is None else f"{self.shape}, ") + f"{self.inertia} inertia"
 
     def configuration(self, dt: float) -> Configuration:
+        if self.explicit:
+            return Configuration("total", self.label, methods.CentralDifference(), dt, shape=self.shape)
         label = f"exact, {self.label}"
         return Configuration("total", label, methods.EnergyMomentum(inertia=self.inertia), dt, shape=self.shape)
+
+    def steps_on(self, member: Member, t_end: float) -> int:
+        """The fewest steps of central differences."""
+        return explicit_steps(member, self.shape, methods.CentralDifference(), t_end)
+
+
+def explicit_label(shape: str | None, rotary: str) -> str:
+    """What central differences are called."""
+    return f"central differences, {rotary} rotary inertia" + ("" if shape in (None, "flat") else f", {shape}")
+
+
+def explicit_steps(member: Member, shape: str | None, method: methods.CentralDifference, t_end: float) -> int:
+    """Steps at the critical one of a mesh. Raises ValueError for a scene that the method is not for."""
+    scene = member.scene if shape is None else with_shape(member.scene, shape)
+    method.check(scene, [0.0])
+    return int(np.ceil(t_end / method.critical_step(scene)))
 
 
 class Trial(NamedTuple):
@@ -66,7 +96,7 @@ class Trial(NamedTuple):
     signals: Signals
     iterations: int
     seconds: float
-    """Of its steps, compilation apart; of runs side by side, so that it serves for predictions only."""
+    """Of its steps, compilation apart."""
 
 
 class Converged(NamedTuple):
@@ -103,20 +133,23 @@ def converged(
     begun = time.perf_counter()
     forms: tuple[Form, ...] = forms_of(family.scene)
     coarse = _coarsest(family)
-    steps, first = _first_steps(family, coarse, forms[0], dt, t_end, 4.0 * target, say)
+    steps, first, resolved = _first_steps(family, coarse, forms[0], dt, t_end, 4.0 * target, say)
     trials, notes, levels = list(first), [], []
+    if not resolved and _explicit_is_for(coarse, forms[0], t_end):
+        notes.append("waves ring that implicit steps do not resolve: the answer is that of central differences")
+        forms = tuple(Form(form.shape, _LUMPED) for form in dict.fromkeys((forms[0], *_other_shapes(forms))))
     found: Reference | None = None
     member: Member | None = coarse
     while member is not None:
-        count = max(_FEWEST, round(steps * member.factor / coarse.factor))
-        wanted = [form for form in forms if not any(_is(t, form, member, count) for t in trials)]
-        with ThreadPoolExecutor(2) as pool:
-            jobs = [pool.submit(_trial, family, member, form, t_end, count) for form in wanted]
-            trials += [trial for job in jobs if (trial := job.result()) is not None]
-        level = [t for form in forms for t in trials if _is(t, form, member, count)]
+        implicit = max(_FEWEST, round(steps * member.factor / coarse.factor))
+        counts = {form: form.steps_on(member, t_end) if form.explicit else implicit for form in forms}
+        wanted = [(f, n) for f, n in counts.items() if not any(_is(t, f, member, n) for t in trials)]
+        made = [_trial(family, member, form, t_end, count) for form, count in wanted]
+        trials += [trial for trial in made if trial is not None]
+        level = [t for form, count in counts.items() for t in trials if _is(t, form, member, count)]
         notes += [
             f"{form.label} does not run on {member.label} with {count} steps"
-            for form in forms
+            for form, count in counts.items()
             if not any(t.form == form for t in level)
         ]
         forms = tuple(t.form for t in level)
@@ -125,13 +158,16 @@ def converged(
         levels.append(level)
         if len(levels) > 1:
             found = _extrapolated(levels)
-            say(f"  reference: {member.label}, {count} steps: known to {found.uncertainty:.1e}")
+            say(f"  reference: {member.label}, {level[0].steps} steps: known to {found.uncertainty:.1e}")
             if found.uncertainty <= target:
                 break
         finer = family.at(2.0 * member.factor) if member.factor < FACTORS[-1] else None
-        if finer is not None and not _affordable(levels[-1], finer, seconds - (time.perf_counter() - begun)):
-            notes.append(f"{finer.label} would have taken too long: a larger budget, or a shorter trial")
-            break
+        left = seconds - (time.perf_counter() - begun)
+        if finer is not None and not _affordable(levels[-1], finer, left):
+            if len(forms) == 1 or not _affordable(levels[-1][:1], finer, left):
+                notes.append(f"{finer.label} would have taken too long: a larger budget, or a shorter trial")
+                break
+            forms = forms[:1]
         member = finer
     if found is None:
         found = _of_one_mesh(trials)
@@ -150,8 +186,8 @@ def _coarsest(family: Family) -> Member:
 
 def _first_steps(
     family: Family, member: Member, form: Form, dt: float, t_end: float, target: float, say: Callable
-) -> tuple[int, list[Trial]]:
-    """Steps for the coarsest mesh, with an error of `target` at most, and the runs that told it.
+) -> tuple[int, list[Trial], bool]:
+    """Steps for the coarsest mesh, with an error of `target` at most, the runs that told it, and whether there is one.
 
     Raises ValueError where no run succeeds.
     """
@@ -165,11 +201,24 @@ def _first_steps(
                 change = apart(trials[-1], trials[-2])
                 say(f"  {member.label}, {count} steps instead of half as many change the answer by {change:.1e}")
                 if 4.0 / 3.0 * change <= target:
-                    return trials[-2].steps, trials
+                    return trials[-2].steps, trials, True
         count *= 2
     if not trials:
         raise ValueError("The scene does not run at any step tried: give a smaller dt.")
-    return trials[-1].steps, trials
+    return trials[-1].steps, trials, False
+
+
+def _other_shapes(forms: tuple[Form, ...]) -> list[Form]:
+    """Those of another shape than the first."""
+    return [form for form in forms[1:] if form.shape != forms[0].shape]
+
+
+def _explicit_is_for(coarse: Member, form: Form, t_end: float) -> bool:
+    """Whether a scene can be run by central differences, and in no more steps than are worth it."""
+    try:
+        return Form(form.shape, _LUMPED).steps_on(coarse, t_end) <= _MOST_EXPLICIT
+    except ValueError:
+        return False
 
 
 def _trial(family: Family, member: Member, form: Form, t_end: float, steps: int) -> Trial | None:
@@ -191,7 +240,7 @@ def _is(trial: Trial, form: Form, member: Member, steps: int) -> bool:
 
 
 def _affordable(level: list[Trial], finer: Member, left: float) -> bool:
-    """Whether the next level ends in the time that is left, compilation not counted: twice the steps, side by side."""
+    """Whether the next level ends in the time that is left, compilation not counted: of twice the steps."""
     growth = [(finer.scene.mesh.n_elements / t.member.scene.mesh.n_elements) ** _GROWTH for t in level]
     return sum(t.seconds * factor for t, factor in zip(level, growth, strict=True)) <= left
 
@@ -220,16 +269,16 @@ def _chain(levels: list[list[Trial]], last: Trial) -> list[Trial]:
     return found
 
 
-def _known(levels: list[list[Trial]], fine: Trial, times: Float[np.ndarray, " k"]) -> tuple[Signals, float]:
+def _known(levels: list[list[Trial]], fine: Trial, times: Float[np.ndarray, " k"]) -> tuple[dict[str, Any], float]:
     """A form's extrapolation of its two finest meshes, and how well it is known by itself."""
     *coarser, coarse = _chain(levels, fine)
     limit = _limit(coarse, fine, times)
     if not coarser:
         # Two meshes do not tell the order: of first order, the answer is twice as far as the extrapolation moved it.
         return limit, 2.0 * _between(times, at_times(fine, times), limit)
-    change = _between(times, _limit(coarser[-1], coarse, times), limit)
-    rate = min(_SECOND_ORDER, apart(coarser[-1], coarse) / max(apart(coarse, fine), 1e-300))
-    return limit, change / (max(_SAFE * rate, _SLOWEST) - 1.0)
+    change = apart(coarse, fine)
+    rate = max(_SAFE * min(_SECOND_ORDER, apart(coarser[-1], coarse) / max(change, 1e-300)), _SLOWEST)
+    return limit, change / (rate - 1.0) - change / (_SECOND_ORDER - 1.0)
 
 
 def _limit(coarse: Trial, fine: Trial, times: Float[np.ndarray, " k"]) -> dict[str, Float[np.ndarray, "k q"]]:

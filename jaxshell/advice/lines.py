@@ -12,10 +12,9 @@ import numpy as np
 
 from jaxshell import methods
 from jaxshell.advice.chart import Configuration, Point
-from jaxshell.advice.converged import Converged, apart
+from jaxshell.advice.converged import Converged, apart, explicit_label, explicit_steps
 from jaxshell.advice.family import FACTORS, Family, Member
 from jaxshell.advice.references import signal_error
-from jaxshell.model.with_shape import with_shape
 
 _FEWEST = 8
 """Steps that a run has at least: fewer show little of the motion."""
@@ -220,7 +219,7 @@ def lines_of(family: Family, found: Converged, goal: float = np.inf) -> list[Lin
     members = [made[factor] for factor in sorted(made)]
     errors = step_errors(found)
     lines = []
-    for form in dict.fromkeys(trial.form for trial in found.trials):
+    for form in dict.fromkeys(trial.form for trial in found.trials if not trial.form.explicit):
         line = Line(form.configuration(1.0).label, form.configuration, members, window, errors)
         for trial in found.trials:
             if trial.form == form:
@@ -235,11 +234,14 @@ def lines_of(family: Family, found: Converged, goal: float = np.inf) -> list[Lin
     begin = [coarsest]
     double = [m for m in members if m.factor >= 1.9 * coarsest.factor][:1]
     shape = found.trials[0].form.shape
-    return [
-        *lines,
-        *(_explicit(members, window, shape, begin + double, rotary) for rotary in ("scaled", "physical")),
-        _emc(members, window, shape, errors, begin),
-    ]
+    explicit = [_explicit(members, window, shape, begin + double, rotary) for rotary in ("scaled", "physical")]
+    for trial in found.trials:
+        for line in explicit:
+            if trial.form.explicit and trial.form.label == line.label:
+                error = signal_error(reference, trial.times, trial.signals, everywhere=True)
+                line.known.append((trial.member, trial.steps, error, trial.seconds))
+                line.begin = []
+    return [*lines, *explicit, _emc(members, window, shape, errors, begin)]
 
 
 def _explicit(members: list[Member], window: float, shape: str | None, begin: list[Member], rotary: str) -> Line:
@@ -247,10 +249,9 @@ def _explicit(members: list[Member], window: float, shape: str | None, begin: li
     method = methods.CentralDifference(rotary=rotary)
 
     def steps_on(member: Member) -> int:
-        scene = member.scene if shape is None else with_shape(member.scene, shape)
-        return int(np.ceil(window / method.critical_step(scene)))
+        return explicit_steps(member, shape, method, window)
 
-    label = f"central differences, {rotary} rotary inertia" + ("" if shape in (None, "flat") else f", {shape}")
+    label = explicit_label(shape, rotary)
     return Line(
         label,
         lambda dt: Configuration("total", label, method, dt, shape=shape),
