@@ -29,6 +29,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 import jax
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 jax.config.update("jax_enable_x64", True)
 
@@ -136,6 +137,7 @@ def answer(name: str, levels: int, folder: Path) -> dict:
         "first_swing": case.first,
         "uncertainty": {"first_swing": float(apart[first][-1]), "window": float(apart[-1])},
         "sizes": {k: float(signal_size(k, v)) for k, v in limit.signals.items()},
+        "first_peaks": {k: _peak(times[first], v[first, 0]) for k, v in limit.signals.items() if v.shape[1] == 1},
         "levels": [
             {
                 "mesh": case.meshes[level],
@@ -147,6 +149,14 @@ def answer(name: str, levels: int, folder: Path) -> dict:
             for level, shape, inertia, seen in rows
         ],
     }
+
+
+def _peak(times, values) -> tuple[float, float]:
+    """(time, value) where one of the watched is largest."""
+    fine = np.linspace(times[0], times[-1], 20 * len(times))
+    smooth = CubicSpline(times, values)(fine)
+    at = np.abs(smooth).argmax()
+    return float(fine[at]), float(smooth[at])
 
 
 def _distance(found: dict, limit: dict, chosen) -> float:
@@ -181,7 +191,7 @@ def main() -> None:
     for name in options.scenes:
         found = json.loads(path.read_text()) if path.is_file() else {}
         found[name] = answer(name, options.levels, options.runs)
-        print(name, json.dumps(found[name]["uncertainty"]), flush=True)
+        print(name, json.dumps({key: found[name][key] for key in ("uncertainty", "first_peaks")}), flush=True)
         found = {key: found[key] for key in CASES if key in found}
         path.write_text(json.dumps(found, indent=1) + "\n")
         fill(PAGE, {"continuous": report(found)})
