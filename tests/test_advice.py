@@ -124,6 +124,7 @@ class Pretended:
 
     def __init__(self):
         self.timed, self.order, self.noise, self.explicit = [], 2.0, 0.0, 0.1
+        self.clock = 0.0
 
     def error(self, scene, tried) -> float:
         size = np.sqrt(32 / scene.mesh.n_elements)
@@ -153,6 +154,7 @@ class Pretended:
             return types.SimpleNamespace(
                 message="not pretended", scene=scene, stats={"steps": 1, "iterations": 1}, times=[0, t_end]
             )
+        self.clock += self.seconds(scene, tried, t_end)
         steps = round(t_end / tried.dt)
         times = np.linspace(0.0, t_end, steps + 1)
         displacements = np.zeros((steps + 1, scene.mesh.n_nodes, 3))
@@ -167,6 +169,7 @@ class Pretended:
 def pretended(monkeypatch):
     world = Pretended()
     monkeypatch.setattr(converging, "run_once", world.run)
+    monkeypatch.setattr(converging, "time", types.SimpleNamespace(perf_counter=lambda: world.clock))
     monkeypatch.setattr(charting, "timed", world.measured)
     monkeypatch.setattr(js.CentralDifference, "critical_step", lambda self, scene: 0.02 / scene.mesh.n_elements**0.5)
     return world

@@ -305,7 +305,7 @@ def test_step_control_and_another_mesh(tmp_path, capsys):
 def test_scenes_are_listed(capsys):
     assert main(["scenes"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == len(BY_NAME) and lines[0].startswith("cap              Clamped spherical cap")
+    assert len(lines) == len(BY_NAME) and lines[0].startswith("cap                  Clamped spherical cap")
     assert [line.split()[0] for line in lines] == list(BY_NAME)
 
 
