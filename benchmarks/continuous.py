@@ -75,7 +75,8 @@ CASES = {
     "suddenly_loaded_cap": Case(scenes.suddenly_loaded_cap, (20, 40, 80, 160), 5e-6, 1e-3, 4e-4, explicit=True),
     "opened_cap": Case(scenes.opened_cap, ((24, 5), (48, 10), (96, 20), (192, 40)), 0.02, 2.6, 1.0),
     "plate": Case(scenes.free_plate, ((15, 3), (30, 6), (60, 12), (120, 24)), 5e-5, 0.02, 0.005, "flat"),
-    "snapping_panel": Case(scenes.snapping_panel, ((8, 16), (16, 32), (32, 64), (64, 128)), 1e-3, 0.3, 0.15),
+    # When it has snapped it swings chaotically: from 0.12 s on no two levels agree.
+    "snapping_panel": Case(scenes.snapping_panel, ((8, 16), (16, 32), (32, 64), (64, 128)), 1e-3, 0.11, 0.09),
     "flying_cylinder": Case(scenes.flying_cylinder, ((4, 32), (8, 64), (16, 128), (32, 256)), 0.02, 10.0, 2.0),
 }
 
@@ -99,8 +100,9 @@ def run(name: str, level: int, shape: str, inertia: str, folder: Path) -> tuple[
         np.savez(path, times=np.asarray(solution.frame_times), **found, **{f"seen {k}": v for k, v in seen.items()})
     with np.load(path) as stored:
         seen = {k[5:]: float(stored[k]) for k in stored.files if k.startswith("seen ")}
-        named = {k: stored[k] for k in stored.files if k != "times" and not k.startswith("seen ")}
-        return stored["times"], named, seen
+        within = stored["times"] <= case.window * (1 + 1e-9)
+        named = {k: stored[k][within] for k in stored.files if k != "times" and not k.startswith("seen ")}
+        return stored["times"][within], named, seen
 
 
 def answer(name: str, levels: int, folder: Path) -> dict:
