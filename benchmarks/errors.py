@@ -72,7 +72,7 @@ MOTIONS = (
     (scenes.spherical_cap, (5, 10, 20), 2e-6, 1e-4),
     (scenes.free_plate, ((15, 3), (30, 6), (60, 12)), 5e-5, 5e-3),
     (scenes.suddenly_loaded_cap, (5, 10, 20), 5e-6, 4e-4),
-    (scenes.snapping_panel, ((4, 8), (8, 16), (16, 32)), 1e-3, 0.15),
+    (scenes.snapping_panel, ((4, 8), (8, 16), (16, 32)), 1e-3, 0.1),
     (scenes.flying_cylinder, ((2, 16), (4, 32), (8, 64)), 0.02, 2.0),
 )
 """Scenes of the library, meshes, step and end; those are left out of which no answer is shipped."""
