@@ -11,7 +11,6 @@ import dataclasses
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
@@ -42,20 +41,12 @@ CAP = {0.3: -0.1817, 0.5: -0.512, 1.0: -2.540}
 """Limits of the opened cap's displacement A, by extrapolation of the flat element over 24×5, 48×10, 96×20."""
 
 
-def shaped(scene: js.Scene, shape: str, thickness=None) -> js.Scene:
-    """The scene with elements of that shape."""
-    old: Any = scene.section
-    thickness = old.thickness if thickness is None else thickness
-    section = js.Section(thickness, old.young_modulus, old.poisson_ratio, old.density, shape=shape)
-    return dataclasses.replace(scene, section=section)
-
-
 def opened_cap() -> str:
     """A at three times, with EnergyMomentum at Δt = 0.005."""
     rows = []
     for mesh in ((24, 5), (48, 10), (96, 20)):
         for shape, inertia in FORMS:
-            scene = shaped(scenes.opened_cap(mesh), shape)
+            scene = js.with_shape(scenes.opened_cap(mesh), shape)
             run = js.simulate(scene, js.EnergyMomentum(inertia=inertia), dt=0.005, t_end=1.0)
             found = [float(run.watched["A"][round(t / 0.005)]) for t in CAP]
             errors = [f"{a:.4f} ({a / b - 1:+.1%})" for a, b in zip(found, CAP.values(), strict=True)]
@@ -173,7 +164,7 @@ def cost() -> str:
     forms = (*FORMS, ("relaxed", "linear"))
     for repeat in range(4):  # the first compiles
         for form in forms:
-            scene = shaped(scenes.opened_cap(), form[0])
+            scene = js.with_shape(scenes.opened_cap(), form[0])
             began = time.perf_counter()
             run = js.simulate(scene, js.EnergyMomentum(inertia=form[1]), dt=0.01, t_end=2.0)
             jax.block_until_ready(run.displacements)

@@ -16,21 +16,16 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse as sparse
-from scipy.sparse.linalg import spsolve
 
 import jaxshell as js
-from benchmarks.accuracy import shaped, stiffness
+from benchmarks.accuracy import linear_displacements, normals_of, stiffness
 from benchmarks.pages import table, write
 from jaxshell import scenes
-from jaxshell.model.corner_normals import corner_normals
-from jaxshell.model.edges import Edges
 from jaxshell.numerics.rotations import exp
 
 jax.config.update("jax_enable_x64", True)
 
 PAGE = Path(__file__).parent.parent / "docs" / "adapting.md"
-BATCH = 1024
 SMALL = 1e-6
 """What the limit of the deflection is scaled to where section forces are recovered: everything is linear there."""
 CAP = 0.0018574
@@ -44,7 +39,7 @@ def linear(shape: str, size: float):
     matrices = stiffness(shape)
 
     def analysis(scene: js.Scene) -> js.Solution:
-        u = displacements(scene, shape, matrices)
+        u = linear_displacements(scene, normals_of(scene), matrices)
         small = SMALL / size * u
         one = jnp.ones(1)
         zero, none = 0.0 * one, jnp.zeros((1, 3))
@@ -70,32 +65,12 @@ def linear(shape: str, size: float):
     return analysis
 
 
-def displacements(scene: js.Scene, shape: str, matrices) -> np.ndarray:
-    """(n, 6) displacements and rotations under the scene's loads, if all were linear."""
-    mesh, section = scene.mesh, scene.section
-    nodes, triangles = np.asarray(mesh.nodes), mesh.triangles
-    normals = np.zeros((len(triangles), 3, 3))
-    if shape != "flat":
-        normals = np.asarray(corner_normals(mesh.nodes, Edges(triangles)).normals)
-    values = [float(value) for value in (section.thickness, section.young_modulus, section.poisson_ratio)]
-    padded = np.resize(np.arange(len(triangles)), -(-len(triangles) // BATCH) * BATCH).reshape(-1, BATCH)
-    found = [np.asarray(matrices(nodes[triangles[k]], normals[k], *values)) for k in padded]
-    dofs, size = (6 * triangles[:, :, None] + np.arange(6)).reshape(-1, 18), 6 * len(nodes)
-    rows, columns = np.repeat(dofs, 18, axis=1).ravel(), np.tile(dofs, (1, 18)).ravel()
-    K = sparse.csc_matrix((np.concatenate(found)[: len(triangles)].ravel(), (rows, columns)), (size, size))
-    loads = sum(np.asarray(load.nodal(mesh.nodes, triangles, np.ones(len(triangles)))) for load in scene.loads)
-    free = np.setdiff1d(np.arange(size), scene.held_dofs)
-    u = np.zeros(size)
-    u[free] = spsolve(K[free][:, free], np.asarray(loads).ravel()[free])
-    return u.reshape(-1, 6)
-
-
 def compared(make, limit: float, uniform, start, shape: str, most: int) -> list[list[str]]:
     """Rows for uniform meshes, and for those of `adapt` from one of them."""
     analysis, rows = linear(shape, limit), []
     label = make(start).watch[0][0]
     for divisions in uniform:
-        scene = shaped(make(divisions), shape)
+        scene = js.with_shape(make(divisions), shape)
         error = float(np.abs(analysis(scene).watched[label][-1])) / limit - 1.0
         unknowns = 6 * scene.mesh.n_nodes - len(scene.held_dofs)
         rows.append([shape, "uniform", str(scene.mesh.n_elements), str(unknowns), f"{100 * error:+.2f}", "", "", ""])
@@ -109,7 +84,7 @@ def compared(make, limit: float, uniform, start, shape: str, most: int) -> list[
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # which says that 1e-3 was not met
-        adapted = js.adapt(shaped(make(start), shape), 1e-3, analysis=noted, most_elements=most)
+        adapted = js.adapt(js.with_shape(make(start), shape), 1e-3, analysis=noted, most_elements=most)
     for mesh, deflection in zip(adapted.rounds, deflections, strict=True):
         error = deflection / limit - 1.0
         figures = [f"{100 * value:.2f}" for value in (mesh.recovered, mesh.estimate)]

@@ -14,7 +14,6 @@ results/continuous.json and the table of docs/accuracy.md.
 """
 
 import argparse
-import dataclasses
 import json
 import math
 import os
@@ -81,16 +80,11 @@ CASES = {
 }
 
 
-def shaped(scene: js.Scene, shape: str) -> js.Scene:
-    """The scene with elements of that shape."""
-    return dataclasses.replace(scene, section=dataclasses.replace(scene.section, shape=shape))
-
-
 def run(name: str, level: int, shape: str, inertia: str, folder: Path) -> tuple[np.ndarray, dict, dict]:
     """(times, signals, what was seen) of a level, at the times of the first level's steps; from the file if it is there."""
     case, path = CASES[name], folder / f"{name}_{level}_{shape}_{inertia}.npz"
     if not path.is_file():
-        scene = shaped(case.make(case.meshes[level]), shape)
+        scene = js.with_shape(case.make(case.meshes[level]), shape)
         begun, (dt, count) = time.perf_counter(), case.step(scene, level)
         solution = js.simulate(
             scene, case.method(shape, inertia), dt=dt, t_end=case.window, save_every=count, newton=NEWTON

@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import jaxshell as js
-from benchmarks.accuracy import held_cap, linear_displacements, normals_of, shaped, stiffness, watched
+from benchmarks.accuracy import held_cap, linear_displacements, normals_of, stiffness, watched
 from benchmarks.pages import table, write
 from jaxshell import scenes
 from jaxshell.advice.limits import limit_reference
@@ -164,7 +164,7 @@ def recovered() -> str:
     rows, makers = [], {shape: stiffness(shape) for shape in SHAPES}
     for name, make, meshes, _ in CASES:
         for shape in SHAPES:
-            found = [solved(shaped(make(d), shape), makers[shape]) for d in meshes]
+            found = [solved(js.with_shape(make(d), shape), makers[shape]) for d in meshes]
             for divisions, each in zip(meshes[:-2], found, strict=False):
                 own = js.mesh_errors_of(each.scene, *small(each.displacements, each.scale))
                 told, true = float(own.relative), true_error(each, found[-1])

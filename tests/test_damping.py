@@ -23,7 +23,7 @@ from jaxshell.methods import damping
 from jaxshell.methods import energy_momentum as exact
 from jaxshell.methods import generalized_energy_momentum as averaged
 from jaxshell.methods import newmark as force_level
-from jaxshell.methods.central_difference import lumped_mass
+from jaxshell.methods.lumped import lumped_mass
 from jaxshell.numerics.rotations import exp
 
 NEWTON = js.Newton(tolerance=1e-13)

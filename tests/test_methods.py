@@ -19,7 +19,7 @@ from jaxshell.elements import corotational
 from jaxshell.elements.inertia import PointStart, Spins
 from jaxshell.methods import seven_point
 from jaxshell.methods.bathe import ThreePointBackward
-from jaxshell.methods.central_difference import lumped_mass
+from jaxshell.methods.lumped import lumped_mass
 from jaxshell.methods.newmark import ElementData, step_factors
 from jaxshell.numerics.rotations import exp
 

@@ -22,7 +22,7 @@ from scipy.interpolate import CubicSpline
 from jaxshell import methods
 from jaxshell.advice.chart import Configuration, run_once
 from jaxshell.advice.family import FACTORS, Family, Member, shapes_of
-from jaxshell.advice.references import Reference, Signals, agreement
+from jaxshell.advice.references import Reference, Signals, agreement, extrapolate
 from jaxshell.model.scene import Scene
 from jaxshell.model.with_shape import with_shape
 
@@ -75,7 +75,12 @@ class Form(NamedTuple):
 
 def explicit_label(shape: str | None, rotary: str) -> str:
     """What central differences are called."""
-    return f"central differences, {rotary} rotary inertia" + ("" if shape in (None, "flat") else f", {shape}")
+    return label_of(f"central differences, {rotary} rotary inertia", shape)
+
+
+def label_of(method: str, shape: str | None) -> str:
+    """What a method is called with elements of a shape."""
+    return method if shape in (None, "flat") else f"{method}, {shape}"
 
 
 def explicit_steps(member: Member, shape: str | None, method: methods.CentralDifference, t_end: float) -> int:
@@ -283,9 +288,8 @@ def _known(levels: list[list[Trial]], fine: Trial, times: Float[np.ndarray, " k"
 
 def _limit(coarse: Trial, fine: Trial, times: Float[np.ndarray, " k"]) -> dict[str, Float[np.ndarray, "k q"]]:
     """Richardson's extrapolation of two meshes, second order."""
-    factor = (fine.member.factor / coarse.member.factor) ** 2
-    a, b = at_times(coarse, times), at_times(fine, times)
-    return {name: (factor * b[name] - a[name]) / (factor - 1.0) for name in b}
+    ratio = fine.member.factor / coarse.member.factor
+    return extrapolate(at_times(coarse, times), at_times(fine, times), ratio=ratio)
 
 
 def _of_one_mesh(trials: list[Trial]) -> Reference:
@@ -293,8 +297,7 @@ def _of_one_mesh(trials: list[Trial]) -> Reference:
     fine = trials[-1]
     if len(trials) < 2:
         return Reference(fine.times, dict(fine.signals), np.inf, "one run")
-    coarse = at_times(trials[-2], fine.times)
-    limit = {name: (4.0 * fine.signals[name] - coarse[name]) / 3.0 for name in coarse}
+    limit = extrapolate(at_times(trials[-2], fine.times), fine.signals)
     origin = f"{fine.form.label} on {fine.member.label}, {fine.steps} steps, extrapolated in the step"
     return Reference(fine.times, limit, _between(fine.times, fine.signals, limit), origin)
 

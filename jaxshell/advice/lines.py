@@ -12,9 +12,9 @@ import numpy as np
 
 from jaxshell import methods
 from jaxshell.advice.chart import Configuration, Point
-from jaxshell.advice.converged import Converged, apart, explicit_label, explicit_steps
+from jaxshell.advice.converged import Converged, Trial, apart, explicit_label, explicit_steps, label_of
 from jaxshell.advice.family import FACTORS, Family, Member
-from jaxshell.advice.references import signal_error
+from jaxshell.advice.references import Reference, signal_error
 
 _FEWEST = 8
 """Steps that a run has at least: fewer show little of the motion."""
@@ -90,6 +90,11 @@ class Line:
         steps = round(self.window / entry.point.dt)
         self.known.append((entry.member, steps, entry.point.error, entry.point.seconds))
         self.measured.add((entry.member.factor, steps))
+
+    def add_trial(self, trial: Trial, reference: Reference) -> None:
+        """Learn from a run that the reference was made of."""
+        error = signal_error(reference, trial.times, trial.signals, everywhere=True)
+        self.known.append((trial.member, trial.steps, error, trial.seconds))
 
     def beginnings(self, goal: float) -> list[tuple[Member, float]]:
         """(mesh, dt) of the runs that tell the first of it."""
@@ -223,8 +228,7 @@ def lines_of(family: Family, found: Converged, goal: float = np.inf) -> list[Lin
         line = Line(form.configuration(1.0).label, form.configuration, members, window, errors)
         for trial in found.trials:
             if trial.form == form:
-                error = signal_error(reference, trial.times, trial.signals, everywhere=True)
-                line.known.append((trial.member, trial.steps, error, trial.seconds))
+                line.add_trial(trial, reference)
         lines.append(line)
     while min(line.mesh_error(members[-1]) for line in lines) > _SHARE * goal:
         finer = family.finer(members[-1].factor)
@@ -238,8 +242,7 @@ def lines_of(family: Family, found: Converged, goal: float = np.inf) -> list[Lin
     for trial in found.trials:
         for line in explicit:
             if trial.form.explicit and trial.form.label == line.label:
-                error = signal_error(reference, trial.times, trial.signals, everywhere=True)
-                line.known.append((trial.member, trial.steps, error, trial.seconds))
+                line.add_trial(trial, reference)
                 line.begin = []
     return [*lines, *explicit, _emc(members, window, shape, errors, begin)]
 
@@ -251,30 +254,18 @@ def _explicit(members: list[Member], window: float, shape: str | None, begin: li
     def steps_on(member: Member) -> int:
         return explicit_steps(member, shape, method, window)
 
-    label = explicit_label(shape, rotary)
-    return Line(
-        label,
-        lambda dt: Configuration("total", label, method, dt, shape=shape),
-        members,
-        window,
-        None,
-        steps_on,
-        begin,
-    )
+    return _line(explicit_label(shape, rotary), method, shape, members, window, None, steps_on, begin)
 
 
 def _emc(members: list[Member], window: float, shape: str | None, errors: StepErrors, begin: list[Member]) -> Line:
     """The paper's method without rotary inertia, the cheapest step that it has."""
     method = methods.GeneralizedEnergyMomentum(inertia="none")
-    label = "EMC without rotary inertia" + ("" if shape in (None, "flat") else f", {shape}")
-    return Line(
-        label,
-        lambda dt: Configuration("total", label, method, dt, shape=shape),
-        members,
-        window,
-        errors,
-        begin=begin,
-    )
+    return _line(label_of("EMC without rotary inertia", shape), method, shape, members, window, errors, None, begin)
+
+
+def _line(label: str, method: methods.Method, shape: str | None, *given) -> Line:
+    """A line of one method with one shape; `given` are the arguments of `Line` from `members` on."""
+    return Line(label, lambda dt: Configuration("total", label, method, dt, shape=shape), *given)
 
 
 def step_errors(found: Converged) -> StepErrors:

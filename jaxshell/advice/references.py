@@ -104,9 +104,11 @@ def signal_size(name: str, values: Float[np.ndarray, "k q"]) -> float:
     return 1.0 if name == ORIENTATION or largest == 0 else largest
 
 
-def extrapolate(coarse: Signals, fine: Signals, order: int = 2) -> dict[str, Float[np.ndarray, "k q"]]:
-    """Richardson's extrapolation of two runs, the step halved."""
-    return {name: extrapolated(coarse[name], fine[name], order) for name in fine}
+def extrapolate(
+    coarse: Signals, fine: Signals, order: int = 2, ratio: float = 2.0
+) -> dict[str, Float[np.ndarray, "k q"]]:
+    """Richardson's extrapolation of two runs, the step halved, or the mesh or step made smaller by `ratio`."""
+    return {name: extrapolated(coarse[name], fine[name], order, ratio) for name in fine}
 
 
 def agreement(times, one: Signals, other: Signals) -> Float[np.ndarray, " k"]:

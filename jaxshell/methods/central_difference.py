@@ -33,8 +33,8 @@ from jaxshell.assembly.discretised import Model
 from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import Tables, nodal_tables
 from jaxshell.elements import corotational
-from jaxshell.elements.element import Element
 from jaxshell.methods import damping
+from jaxshell.methods.lumped import ROTARY, lumped, lumped_mass, thirds
 from jaxshell.methods.method import Method, Observation, StepInfo, may_have_first_moment
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import MovingState
@@ -46,9 +46,6 @@ from jaxshell.numerics.products import dot
 from jaxshell.numerics.rotations import exp
 from jaxshell.solvers.iteration import SUCCESSFUL, UNSTABLE
 
-ROTARY = ("physical", "scaled")
-_OF_AREA = 1 / 8
-"""Scaled rotary inertia over mass times area: below it the step of the element's bending is that of its membrane."""
 _EXPLOSION = 10.0
 """Unstable: energy this many times what the start and the loads have supplied. Growth is exponential then, so
 the factor decides on a few steps more or less only."""
@@ -209,7 +206,7 @@ class CentralDifference(Method):
         if model.moving:
             against = 0.5 * (state.internal + internal - state.load - load) * u
             if model.damping is not None and model.damping.alpha is not None:
-                against = against + _lumped(model, self.rotary, model.damping.alpha) * u * u / dt
+                against = against + lumped(model, self.rotary, model.damping.alpha) * u * u / dt
             carried = 0.5 * mass * (rates**2 - state.rates**2)
             work = work + jnp.sum((against + carried).reshape(-1)[held])
         # The velocity at the end already holds the second half of this step's kick, whose work follows.
@@ -238,7 +235,7 @@ class CentralDifference(Method):
         """The mean of the step's two kicks."""
         forces = 0.5 * (before.internal + after.internal - before.load - after.load)
         if model.damping is not None and model.damping.alpha is not None:
-            forces = forces + 0.5 * _lumped(model, self.rotary, model.damping.alpha) * (before.rates + after.rates)
+            forces = forces + 0.5 * lumped(model, self.rotary, model.damping.alpha) * (before.rates + after.rates)
         return before.mass * (after.rates - before.rates) / dt + forces
 
     def observe(self, model: Model, state: ExplicitState) -> Observation:
@@ -248,33 +245,6 @@ class CentralDifference(Method):
         linear = jnp.sum(momentum[:, :3], axis=0)
         dissipated = jnp.zeros(()) if state.damped is None else state.damped.dissipated
         return Observation(state.kinetic, state.strain, state.external_work, dissipated, linear, angular)
-
-
-def lumped_mass(model: Model, rotary: str = "physical") -> Float[Array, "n 6"]:
-    """A third of each element's mass and of its rotary inertia at each of its nodes, and point masses."""
-    found = _lumped(model, rotary, None)
-    if model.lumps is None:
-        return found
-    ball = model.lumps.inertia[:, 0, 0]
-    own = jnp.stack([model.lumps.mass, ball], axis=1)
-    return found.at[model.lumps.at].add(jnp.repeat(own, 3, axis=1))
-
-
-def _thirds(elements: Element, rotary: str) -> Float[Array, "... 2"]:
-    """Mass and rotary inertia that an element, or each of several, gives to each of its nodes."""
-    inertia = elements.rotary_inertia
-    if rotary == "scaled":
-        inertia = jnp.maximum(inertia, _OF_AREA * elements.mass_per_area * elements.area)
-    return jnp.stack([elements.mass_per_area, inertia], axis=-1) * elements.area[..., None] / 3.0
-
-
-def _lumped(model: Model, rotary: str, factors: Float[Array, " m"] | None) -> Float[Array, "n 6"]:
-    """`lumped_mass` with the elements' masses times these factors."""
-    third = _thirds(model.elements, rotary)
-    if factors is not None:
-        third = third * factors[:, None]
-    corner = jnp.broadcast_to(third[:, None, :, None], (third.shape[0], 3, 2, 3))
-    return model.tables.nodal(corner.reshape(-1, 6))
 
 
 def _check_joined(scene: Scene) -> None:
@@ -326,7 +296,7 @@ def _nodal_alpha(model: Model, mass: Float[Array, "n 6"], rotary: str) -> Float[
     """α of each degree of freedom that is free, from the lumped masses of the elements around its node."""
     if model.damping is None or model.damping.alpha is None:
         return None
-    ratio = _lumped(model, rotary, model.damping.alpha) / mass
+    ratio = lumped(model, rotary, model.damping.alpha) / mass
     return ratio.reshape(-1).at[model.tables.held].set(0.0).reshape(-1, 6)
 
 
@@ -341,7 +311,7 @@ def _damped(model: Model, rotary: str, state: ExplicitState, u, deformations, dt
         return Damped(removed, None, None)
     alpha, beta = model.damping
     if alpha is not None:
-        removed = removed + jnp.sum(_lumped(model, rotary, alpha) * u * u) / dt
+        removed = removed + jnp.sum(lumped(model, rotary, alpha) * u * u) / dt
     if beta is not None:
         change = deformations - state.damped.deformations
         squares = jax.vmap(lambda e, element: dot(e, corotational.stresses(e, element)))(change, model.elements)
@@ -360,7 +330,7 @@ def _stable_step(scene: Scene, tables: Tables, rotary: str) -> Float[Array, ""]:
 
     def largest(x, R, element):
         K = corotational.tangent_stiffness(x, R, element)
-        third = _thirds(element, rotary)
+        third = thirds(element, rotary)
         scale = jnp.tile(jnp.repeat(1.0 / jnp.sqrt(third), 3), 3)
         return jnp.linalg.eigvalsh(0.5 * (K + K.T) * scale[:, None] * scale[None, :])[-1]
 

@@ -1,0 +1,38 @@
+"""Lumped masses and rotary inertias of the nodes, one value for all directions: those of central differences."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxshell.assembly.discretised import Model
+from jaxshell.elements.element import Element
+
+ROTARY = ("physical", "scaled")
+_OF_AREA = 1 / 8
+"""Scaled rotary inertia over mass times area: below it the step of the element's bending is that of its membrane."""
+
+
+def lumped_mass(model: Model, rotary: str = "physical") -> Float[Array, "n 6"]:
+    """A third of each element's mass and of its rotary inertia at each of its nodes, and point masses."""
+    found = lumped(model, rotary, None)
+    if model.lumps is None:
+        return found
+    ball = model.lumps.inertia[:, 0, 0]
+    own = jnp.stack([model.lumps.mass, ball], axis=1)
+    return found.at[model.lumps.at].add(jnp.repeat(own, 3, axis=1))
+
+
+def thirds(elements: Element, rotary: str) -> Float[Array, "... 2"]:
+    """Mass and rotary inertia that an element, or each of several, gives to each of its nodes."""
+    inertia = elements.rotary_inertia
+    if rotary == "scaled":
+        inertia = jnp.maximum(inertia, _OF_AREA * elements.mass_per_area * elements.area)
+    return jnp.stack([elements.mass_per_area, inertia], axis=-1) * elements.area[..., None] / 3.0
+
+
+def lumped(model: Model, rotary: str, factors: Float[Array, " m"] | None) -> Float[Array, "n 6"]:
+    """`lumped_mass` with the elements' masses times these factors."""
+    third = thirds(model.elements, rotary)
+    if factors is not None:
+        third = third * factors[:, None]
+    corner = jnp.broadcast_to(third[:, None, :, None], (third.shape[0], 3, 2, 3))
+    return model.tables.nodal(corner.reshape(-1, 6))
