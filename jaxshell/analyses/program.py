@@ -19,7 +19,7 @@ from jaxshell.methods.method import Method, Observation, Solvers
 from jaxshell.methods.state import State
 from jaxshell.methods.static import Static, held_reactions
 from jaxshell.model.scene import WATCHABLE, Scene
-from jaxshell.numerics.compiled import compiled
+from jaxshell.numerics.compiled import compiled, compiled_once
 from jaxshell.solvers.iteration import STEP_TOO_SMALL, SUCCESSFUL, Memory
 
 
@@ -63,7 +63,7 @@ class Plan(NamedTuple):
     reactions: bool = False
 
 
-@compiled
+@compiled_once
 def prepare(scene: Scene, tables: Tables, plan: Plan):
     """Model, start and its record."""
     model = Model.build(scene, tables, plan.method.bends_mass)
@@ -73,7 +73,7 @@ def prepare(scene: Scene, tables: Tables, plan: Plan):
     return model, Carry(state, memory, zero + SUCCESSFUL), *first(model, plan, state)
 
 
-@compiled
+@compiled_once
 def first(model: Model, plan: Plan, state):
     """Record and frame of the state at the start; no balance has been solved, and no reaction is known."""
     zero = jnp.zeros((), jnp.int32)

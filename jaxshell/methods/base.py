@@ -120,6 +120,10 @@ class ImplicitMethod(Method):
         """The increments from which Newton starts; states keep the `rates` of the last steps for it."""
         return extrapolate(state.rates, dt)
 
+    def calm(self, model: Model, state, dt) -> Float[Array, "n 6"] | None:
+        """Increments to start from where those of `predict` are far from balance; None where there are none."""
+        return None
+
     def mean_turn(self, theta: Float[Array, "3"]) -> Float[Array, "3 3"]:
         """A with R₁ - R₀ = ~θ A R₀ for a node's rotation in a step."""
         return H_inverse(theta)
@@ -377,10 +381,10 @@ class ImplicitMethod(Method):
     def step(self, model, state, dt, solvers, memory):
         # The iteration is outside differentiation; its result then gets the derivative of the equations solved.
         solvers = solvers._replace(linear=solvers.linear.posed(model))
-        fixed = jax.lax.stop_gradient((self, model, state, dt))
+        begun, held = self.begin(model, state, dt), model.held_increment(state.time, dt, self.size_of_turn)
+        fixed = jax.lax.stop_gradient((self, model, state, dt, begun, held))
         solved, memory = one_by_one(_converge, memory, *fixed, solvers)
         solved = keep(solved)
-        begun, held, _ = _problem(self, model, state, dt, solvers)
         u = self._differentiable(model, state, begun, held, solved.free, solvers)
         info = StepInfo(solved.result, solved.iterations, solved.factorizations, solved.correction)
         return self.finish(model, state, dt, u, self.motion(state, u), begun), info, memory
@@ -414,11 +418,12 @@ def by_increments(K: Float[Array, "k d d"], spin: Float[Array, "k c 3 3"]) -> Fl
     return jnp.stack([blocks[:, :, :, 0], turned], axis=3).reshape(K.shape)
 
 
-def _converge(memory: Memory, method: ImplicitMethod, model: Model, state, dt, solvers: Solvers):
+def _converge(memory: Memory, method: ImplicitMethod, model: Model, state, dt, begun, held, solvers: Solvers):
     """Newton's iteration of one step: (Solved, Memory). In a batch the factorization kept is another member's."""
-    _, _, problem = _problem(method, model, state, dt, solvers)
-    guess = model.unknowns(method.predict(model, state, dt))
-    return solvers.newton.solve(problem, guess, *_scales(model), solvers.linear, memory)
+    problem = _problem(method, model, state, begun, held, solvers)
+    guess, calm = model.unknowns(method.predict(model, state, dt)), method.calm(model, state, dt)
+    calm = None if calm is None else model.unknowns(calm)
+    return solvers.newton.solve(problem, guess, *_scales(model), solvers.linear, memory, calm)
 
 
 def _scales(model: Model):
@@ -426,10 +431,8 @@ def _scales(model: Model):
     return model.size, model.tables.free % 6 >= 3
 
 
-def _problem(method: ImplicitMethod, model: Model, state, dt, solvers: Solvers):
-    """(constants of the step, held increments, equations) of one step."""
-    begun = method.begin(model, state, dt)
-    held = model.held_increment(state.time, dt, method.size_of_turn)
+def _problem(method: ImplicitMethod, model: Model, state, begun: Begun, held, solvers: Solvers) -> Problem:
+    """The equations of one step."""
 
     def matrix(free, last):
         # At the start of the step, where `last` is zero, the held degrees of freedom have not moved either.
@@ -437,9 +440,8 @@ def _problem(method: ImplicitMethod, model: Model, state, dt, solvers: Solvers):
         u = method.increments(model, state, free, held)
         return method.tangent(model, state, begun, u, last, solvers.tangent)
 
-    problem = Problem(
+    return Problem(
         lambda free: method.balance(model, state, begun, method.increments(model, state, free, held)),
         matrix,
         model.free,
     )
-    return begun, held, problem

@@ -41,7 +41,7 @@ from jaxshell.methods.state import MovingState
 from jaxshell.model.contribution import Constraint
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import check_choice, check_number, is_concrete
-from jaxshell.numerics.compiled import compiled
+from jaxshell.numerics.compiled import compiled_once
 from jaxshell.numerics.products import dot
 from jaxshell.numerics.rotations import exp
 from jaxshell.solvers.iteration import SUCCESSFUL, UNSTABLE
@@ -319,7 +319,7 @@ def _damped(model: Model, rotary: str, state: ExplicitState, u, deformations, dt
     return Damped(removed, state.damped.alpha, deformations)
 
 
-@compiled
+@compiled_once
 def _stable_step(scene: Scene, tables: Tables, rotary: str) -> Float[Array, ""]:
     """2/ω_max, ω_max the largest frequency of an element of the initial state with its own lumped mass.
 

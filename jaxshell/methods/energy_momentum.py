@@ -146,26 +146,15 @@ class EnergyMomentum(ImplicitMethod):
     def mean_turn(self, theta):
         return mid_matrix(theta)
 
-    def predict(self, model: Model, state: EnergyMomentumState, dt) -> Float[Array, "n 6"]:
-        """Extrapolation of the last steps, or a start without new strains where that leaves a smaller residual.
+    def calm(self, model: Model, state: EnergyMomentumState, dt) -> Float[Array, "n 6"]:
+        """A start without new strains: a free shell moves as a rigid body, a held one stays where it is.
 
         Large steps cannot be extrapolated: nodes that overshoot stretch the membrane, whose forces then rule
-        Newton's iteration. A free shell then starts as a rigid body, a held one from where it is.
+        Newton's iteration.
         """
-        begun = self.begin(model, state, dt)
-        held = model.held_increment(state.time, dt, self.size_of_turn)
-        is_force = model.tables.free % 6 < 3
-
-        def unbalanced(u):
-            u = self.increments(model, state, model.unknowns(u), held)
-            return jnp.sum(jnp.where(is_force, model.free(self.balance(model, state, begun, u).residual), 0.0) ** 2)
-
-        smooth = predictor.extrapolate(state.rates, dt)
-        is_held = model.tables.held.size > 0
-        calm = jnp.zeros_like(smooth) if is_held else predictor.rigid(state.rates, state.x, dt)
-        left = jax.vmap(unbalanced)(jnp.stack([smooth, calm]))
-        # Where the extrapolation gives no number at all, the comparison is false.
-        return jnp.where(left[0] < left[1], smooth, calm)
+        if model.tables.held.size > 0:
+            return jnp.zeros_like(state.rates[0])
+        return predictor.rigid(state.rates, state.x, dt)
 
     def mixed_matrices(self, model: Model, state, begun, u, last, tangent: str) -> Float[Array, "m 18 18"]:
         """Tangents with the stresses that the last correction predicts linearly, as in `jaxshell.methods.static`.

@@ -23,6 +23,7 @@ from jaxshell.solvers.iteration import (
     Memory,
     Problem,
     Solved,
+    Start,
 )
 
 _CONTRACTS = 0.25
@@ -61,6 +62,7 @@ class _Carry(NamedTuple):
     """Kept factorizations have failed in this step: begun anew with one in every iteration."""
     huge: Bool[Array, ""]
     """The last correction was huge, with its own factorization."""
+    start: Start
 
 
 class _Outlook(NamedTuple):
@@ -79,11 +81,11 @@ class _Outlook(NamedTuple):
     hard: Bool[Array, ""]
 
 
-def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, memory: Memory):
-    """Iterate from `guess` (nf,) with the settings `newton`: (Solved, Memory for the next step)."""
+def iterate(newton, problem: Problem, start: Start, measure: Measure, linear: Linear, memory: Memory):
+    """Iterate from `start` with the settings `newton`: (Solved, Memory for the next step)."""
     full = memory.hard == 2
     memory = eqx.tree_at(lambda m: m.stale, memory, memory.stale | full)
-    start = _start(guess, memory, full)
+    first = _first(start, memory, full)
 
     def advance(c: _Carry, r, work) -> _Carry:
         fresh = c.memory.stale
@@ -113,9 +115,10 @@ def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, m
             own=fresh,
             full=c.full,
             huge=found.huge & fresh,
+            start=c.start,
         )
         failed = jnp.where(done, result != SUCCESSFUL, after.iterations >= newton.max_iterations)
-        return _where(failed & ~c.full, _begun_anew(start, after), after)
+        return _where(failed & ~c.full, _begun_anew(first, after), after)
 
     def body(c: _Carry) -> _Carry:
         r, error, work = measure.residual(problem, c.free)
@@ -124,11 +127,16 @@ def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, m
         settled = (error < ROUND_OFF) & c.full
         broken = ~jnp.isfinite(error)
         stop = c._replace(done=jnp.array(True), result=jnp.where(broken, DIVERGED, c.result))
-        stop = _where(broken & ~c.full, _begun_anew(start, c), stop)
-        return lax.cond(settled | broken, lambda: stop, lambda: advance(c, r, work))
+        stop = _where(broken & ~c.full, _begun_anew(first, c), stop)
+        if c.start.calm is None:
+            return lax.cond(settled | broken, lambda: stop, lambda: advance(c, r, work))
+        chosen, free, looks = c.start.chosen(c.free, r, error, measure.rotates)
+        which = jnp.where(looks, 0, jnp.where(settled | broken, 1, 2))
+        at = c._replace(free=free, start=chosen)
+        return lax.switch(which, (lambda: at, lambda: stop, lambda: advance(c._replace(start=chosen), r, work)))
 
     limit = 2 * newton.max_iterations
-    end = lax.while_loop(lambda c: ~c.done & (c.iterations < limit), body, start)
+    end = lax.while_loop(lambda c: ~c.done & (c.iterations < limit), body, first)
     result = jnp.where(end.done, end.result, STAGNATED)
     solved = Solved(end.free, result, end.iterations, end.factorizations, end.correction)
     return solved, _remembered(end, result)
@@ -150,11 +158,11 @@ def _correction(problem: Problem, measure: Measure, linear: Linear, c: _Carry, r
     return measure.correction(step, c.correction), memory
 
 
-def _start(guess, memory: Memory, full) -> _Carry:
+def _first(start: Start, memory: Memory, full) -> _Carry:
     zero = jnp.zeros((), jnp.int32)
     return _Carry(
-        free=guess,
-        last=jnp.zeros_like(guess),
+        free=start.free,
+        last=jnp.zeros_like(start.free),
         done=jnp.array(False),
         result=zero,
         iterations=zero,
@@ -165,14 +173,16 @@ def _start(guess, memory: Memory, full) -> _Carry:
         own=jnp.array(False),
         full=full,
         huge=jnp.array(False),
+        start=start,
     )
 
 
-def _begun_anew(start: _Carry, c: _Carry) -> _Carry:
-    """What kept factorizations spoilt is done again without them."""
+def _begun_anew(first: _Carry, c: _Carry) -> _Carry:
+    """What kept factorizations spoilt is done again without them, from the same start."""
     yes = jnp.array(True)
     memory = eqx.tree_at(lambda m: m.stale, c.memory, yes)
-    return start._replace(iterations=c.iterations, factorizations=c.factorizations, memory=memory, hard=yes, full=yes)
+    again = first._replace(iterations=c.iterations, factorizations=c.factorizations, memory=memory, hard=yes, full=yes)
+    return again._replace(free=c.start.free, start=c.start)
 
 
 def _where(condition, there: _Carry, here: _Carry) -> _Carry:

@@ -18,6 +18,7 @@ from jaxshell.solvers.iteration import (
     Memory,
     Problem,
     Solved,
+    Start,
     energy_closes,
 )
 
@@ -38,6 +39,7 @@ class _Carry(NamedTuple):
     huge: Bool[Array, ""]
     factorization: Any
     """Of the last correction's matrix."""
+    start: Start
 
 
 def predicted_to_converge(found: Correction, tolerance) -> Bool[Array, ""]:
@@ -46,8 +48,8 @@ def predicted_to_converge(found: Correction, tolerance) -> Bool[Array, ""]:
     return (found.length <= tolerance) | ((found.ratio < 0.5) & (next_length <= tolerance))
 
 
-def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, memory: Memory):
-    """Iterate from `guess` (nf,) with the settings `newton`: (Solved, `memory` with the last factorization)."""
+def iterate(newton, problem: Problem, start: Start, measure: Measure, linear: Linear, memory: Memory):
+    """Iterate from `start` with the settings `newton`: (Solved, `memory` with the last factorization)."""
     by_norm = newton.criterion == "norm"
 
     def advance(c: _Carry, r, error, work) -> _Carry:
@@ -70,6 +72,7 @@ def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, m
             error=error,
             huge=found.huge,
             factorization=factorization,
+            start=c.start,
         )
 
     def body(c: _Carry) -> _Carry:
@@ -80,12 +83,17 @@ def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, m
             settled |= near & energy_closes(r @ c.free, work, newton.tolerance)
         broken = ~jnp.isfinite(error)
         stop = c._replace(done=jnp.array(True), result=jnp.where(broken, DIVERGED, c.result))
-        return lax.cond(settled | broken, lambda: stop, lambda: advance(c, r, error, work))
+        if c.start.calm is None:
+            return lax.cond(settled | broken, lambda: stop, lambda: advance(c, r, error, work))
+        chosen, free, looks = c.start.chosen(c.free, r, error, measure.rotates)
+        which = jnp.where(looks, 0, jnp.where(settled | broken, 1, 2))
+        at = c._replace(free=free, start=chosen)
+        return lax.switch(which, (lambda: at, lambda: stop, lambda: advance(c._replace(start=chosen), r, error, work)))
 
     zero = jnp.zeros((), jnp.int32)
-    start = _Carry(
-        free=guess,
-        last=jnp.zeros_like(guess),
+    first = _Carry(
+        free=start.free,
+        last=jnp.zeros_like(start.free),
         done=jnp.array(False),
         result=zero,
         iterations=zero,
@@ -93,8 +101,9 @@ def iterate(newton, problem: Problem, guess, measure: Measure, linear: Linear, m
         error=jnp.array(0.0),
         huge=jnp.array(False),
         factorization=memory.factorization,
+        start=start,
     )
-    end = lax.while_loop(lambda c: ~c.done & (c.iterations < newton.max_iterations), body, start)
+    end = lax.while_loop(lambda c: ~c.done & (c.iterations < newton.max_iterations), body, first)
     result = jnp.where(end.done, end.result, STAGNATED)
     memory = eqx.tree_at(lambda m: m.factorization, memory, end.factorization)
     return Solved(end.free, result, end.iterations, end.iterations, end.correction), memory

@@ -32,6 +32,9 @@ _SOFT, _REFINEMENTS, _IN_NEWTON = 1e-6, 3, 2
 softened matrix is refined, where no iteration follows and in Newton's."""
 _FIRST_GUESS = 0.1
 """Contraction of a factorization that has not been used yet."""
+_OFF = 0.1
+"""Residual of an extrapolated start, over the largest force in balance, above which a calm one is looked at too."""
+_NEW, _AT_CALM, _CHOSEN = range(3)
 
 
 class Problem(NamedTuple):
@@ -143,6 +146,39 @@ class Memory(eqx.Module):
     """By which corrections shrank that a factorization of an earlier step gave."""
     hard: Int[Array, ""]
     """Of the last step. 1: its own factorizations contracted slowly; 2: it took many full iterations."""
+
+
+class Start(NamedTuple):
+    """The increments from which an iteration starts: extrapolated ones, or calm ones where those are far off.
+
+    Both are looked at in the iteration's own loop, so that a program evaluates residuals in one place only.
+    """
+
+    free: Float[Array, " nf"]
+    calm: Float[Array, " nf"] | None = None
+    """None: `free` is the start."""
+    unbalanced: Float[Array, ""] | None = None
+    """Square of the unbalanced forces at `free`, once it is known and `calm` is looked at."""
+    stage: Int[Array, ""] | None = None
+
+    @classmethod
+    def of(cls, free, calm=None) -> "Start":
+        if calm is None:
+            return cls(free)
+        return cls(free, calm, jnp.zeros(()), jnp.asarray(_NEW, jnp.int32))
+
+    def chosen(self, at, r, error, rotates) -> tuple["Start", Float[Array, " nf"], Bool[Array, ""]]:
+        """From the residual r, of the size `error`, at the iterate `at`: (what is known now, the next iterate, whether
+        that one is to be looked at before any correction)."""
+        force = jnp.sum(jnp.where(rotates, 0.0, r) ** 2)
+        # Comparisons with what is no number are false: then the calm start is taken.
+        off = (self.stage == _NEW) & ~(error <= _OFF)
+        at_calm = self.stage == _AT_CALM
+        back = at_calm & (self.unbalanced < force)
+        free = jnp.where(at_calm & ~back, self.calm, self.free)
+        stage = jnp.where(off, _AT_CALM, _CHOSEN).astype(jnp.int32)
+        start = Start(free, self.calm, jnp.where(off, force, self.unbalanced), stage)
+        return start, jnp.where(off, self.calm, jnp.where(back, self.free, at)), off | back
 
 
 class Solved(NamedTuple):

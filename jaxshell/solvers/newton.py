@@ -13,7 +13,7 @@ import equinox as eqx
 from jaxshell.numerics.checks import Real, check_choice, check_count, check_positive_number, check_switch
 from jaxshell.numerics.derived import derived
 from jaxshell.solvers import chord_newton, full_newton
-from jaxshell.solvers.iteration import Linear, Measure, Memory, Problem
+from jaxshell.solvers.iteration import Linear, Measure, Memory, Problem, Start
 
 
 class Newton(eqx.Module):
@@ -48,14 +48,15 @@ class Newton(eqx.Module):
         check_switch("Newton reuse", self.reuse)
         check_choice("Newton criterion", self.criterion, ("predicted", "norm"))
 
-    def solve(self, problem: Problem, guess, size, rotates, linear: Linear, memory: Memory):
+    def solve(self, problem: Problem, guess, size, rotates, linear: Linear, memory: Memory, calm=None):
         """Iterate from `guess` (nf,): (Solved, Memory for the next step).
 
-        `size` [length] and the mask `rotates` (nf,) scale the corrections. Not to be differentiated: see
-        `attach_derivative`.
+        `size` [length] and the mask `rotates` (nf,) scale the corrections. `calm` (nf,) is another guess, for where the
+        first is far off. Not to be differentiated: see `attach_derivative`.
         """
         iterate = chord_newton.iterate if self.reuse else full_newton.iterate
-        return iterate(self, problem, guess, Measure(size, rotates, self.max_rotation), linear, memory)
+        measure = Measure(size, rotates, self.max_rotation)
+        return iterate(self, problem, Start.of(guess, calm), measure, linear, memory)
 
 
 def attach_derivative(linear: Linear, residual: Callable, tangent: Callable, free, parameters):
