@@ -15,7 +15,7 @@ jax.config.update("jax_enable_compilation_cache", False)
 import jaxshell as js  # noqa: E402
 from jaxshell.analyses import program  # noqa: E402
 from jaxshell.analyses.driver import set_up  # noqa: E402
-from jaxshell.numerics.compiled import OPTIONS  # noqa: E402
+from jaxshell.numerics.compiled import ONCE, OPTIONS  # noqa: E402
 
 
 def measure(method, options) -> tuple[float, float, float]:
@@ -42,7 +42,7 @@ def measure(method, options) -> tuple[float, float, float]:
 def main() -> None:
     print("| method | options | trace and lower, s | compile, s | 50 steps, s |\n|---|---|---|---|---|")
     for method in (js.GeneralizedEnergyMomentum(), js.EnergyMomentum()):
-        for label, options in (("XLA's", {}), ("jaxshell's", OPTIONS)):
+        for label, options in (("XLA's", {}), ("jaxshell's", OPTIONS), ("for what runs once", ONCE)):
             figures = " | ".join(f"{seconds:.2f}" for seconds in measure(method, options))
             print(f"| {type(method).__name__} | {label} | {figures} |", flush=True)
 

@@ -172,6 +172,7 @@ def pretended(monkeypatch):
     monkeypatch.setattr(converging, "time", types.SimpleNamespace(perf_counter=lambda: world.clock))
     monkeypatch.setattr(charting, "timed", world.measured)
     monkeypatch.setattr(js.CentralDifference, "critical_step", lambda self, scene: 0.02 / scene.mesh.n_elements**0.5)
+    monkeypatch.setattr(converging, "_EXPLICIT_SECONDS", 1.0)  # too long for the answer
     return world
 
 
@@ -203,7 +204,6 @@ def test_the_continuous_answer_is_extrapolated_from_mesh_and_step(pretended):
 def test_an_answer_that_does_not_converge_as_it_should_is_not_thought_known(pretended, monkeypatch):
     """Of first order, extrapolation as of second misses; the uncertainty says so."""
     pretended.order = 1.0
-    monkeypatch.setattr(converging, "_MOST_EXPLICIT", 0)
     family = Family(cap(), make_cap)
     found = converging.converged(family, 0.1, WINDOW, 1e-5, 1e3, lambda _: None)
     error = np.abs(found.reference.signals["apex"][:, 0] - np.sin(found.reference.times)).max()
@@ -211,10 +211,19 @@ def test_an_answer_that_does_not_converge_as_it_should_is_not_thought_known(pret
 
 
 @pytest.mark.wrong_types
-def test_where_no_step_resolves_what_happens_the_answer_is_that_of_central_differences(pretended):
-    pretended.order = 1.0
-    found = converging.converged(Family(cap(), make_cap), 0.1, WINDOW, 1e-5, 1e3, lambda _: None)
-    assert any(trial.form.explicit for trial in found.trials) and "central differences" in found.notes[-1]
+def test_where_explicit_steps_are_cheap_the_answer_is_that_of_central_differences(pretended, monkeypatch):
+    monkeypatch.setattr(converging, "_EXPLICIT_SECONDS", 1e-6)
+    found = converging.converged(Family(cap(), make_cap), 0.1, WINDOW, 1e-3, 1e3, lambda _: None)
+    explicit = [trial for trial in found.trials if trial.form.explicit]
+    assert {trial.form.shape for trial in explicit} == {"curved", "flat"}
+    assert "central differences" in found.reference.origin
+    implicit = [trial for trial in found.trials if not trial.form.explicit]
+    coarsest = min(trial.member.factor for trial in explicit)
+    assert len(implicit) > 1 and {trial.member.factor for trial in implicit} == {coarsest}
+    error = np.abs(found.reference.signals["apex"][:, 0] - np.sin(found.reference.times)).max()
+    # On three meshes of second order 3/5 - 1/3 of the last change is what is not known.
+    last = 0.2 * (32 / 128 - 32 / 512)
+    assert error < 1e-4 and np.isclose(found.reference.uncertainty, (3 / 5 - 1 / 3) * last, rtol=0.2)
 
 
 @pytest.mark.wrong_types

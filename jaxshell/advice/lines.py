@@ -213,16 +213,8 @@ def lines_of(family: Family, found: Converged, goal: float = np.inf) -> list[Lin
     Their meshes are those of the reference and between them, and finer ones until one can be expected to meet the goal.
     """
     reference, window = found.reference, float(found.reference.times[-1])
-    finest = max(trial.member.factor for trial in found.trials)
-    coarsest = min((trial.member for trial in found.trials), key=lambda m: m.factor)
-    made = {trial.member.factor: trial.member for trial in found.trials}
-    for factor in FACTORS:
-        if coarsest.factor <= factor <= finest and not any(abs(np.log(factor / f)) < 0.15 for f in made):
-            member = family.at(factor)
-            if member is not None:
-                made[member.factor] = member
-    members = [made[factor] for factor in sorted(made)]
-    errors = step_errors(found)
+    members = _members(family, found)
+    coarsest, errors = members[0], step_errors(found)
     lines = []
     for form in dict.fromkeys(trial.form for trial in found.trials if not trial.form.explicit):
         line = Line(form.configuration(1.0).label, form.configuration, members, window, errors)
@@ -230,21 +222,37 @@ def lines_of(family: Family, found: Converged, goal: float = np.inf) -> list[Lin
             if trial.form == form:
                 line.add_trial(trial, reference)
         lines.append(line)
-    while min(line.mesh_error(members[-1]) for line in lines) > _SHARE * goal:
+    begin = [coarsest]
+    shape = found.trials[0].form.shape
+    explicit = [_explicit(members, window, shape, begin, rotary) for rotary in ("scaled", "physical")]
+    for line in explicit:
+        own = [t for t in found.trials if t.form.explicit and t.form.label == line.label]
+        for trial in own:
+            line.add_trial(trial, reference)
+        if own:
+            line.begin = []
+    known = [line for line in (*lines, *explicit) if line.known]
+    while min(line.mesh_error(members[-1]) for line in known) > _SHARE * goal:
         finer = family.finer(members[-1].factor)
         if finer is None:
             break
         members.append(finer)
-    begin = [coarsest]
-    double = [m for m in members if m.factor >= 1.9 * coarsest.factor][:1]
-    shape = found.trials[0].form.shape
-    explicit = [_explicit(members, window, shape, begin + double, rotary) for rotary in ("scaled", "physical")]
-    for trial in found.trials:
-        for line in explicit:
-            if trial.form.explicit and trial.form.label == line.label:
-                line.add_trial(trial, reference)
-                line.begin = []
-    return [*lines, *explicit, _emc(members, window, shape, errors, begin)]
+    for line in explicit:
+        if line.begin:  # errors of lumped masses fall in their own way: two meshes tell it
+            line.begin = [coarsest] + [m for m in members if m.factor >= 1.9 * coarsest.factor][:1]
+    return [*lines, *explicit, *([] if errors is None else [_emc(members, window, shape, errors, begin)])]
+
+
+def _members(family: Family, found: Converged) -> list[Member]:
+    """The meshes of the reference and those between them, coarse to fine."""
+    made = {trial.member.factor: trial.member for trial in found.trials}
+    coarsest, finest = min(made), max(made)
+    for factor in FACTORS:
+        if coarsest <= factor <= finest and not any(abs(np.log(factor / f)) < 0.15 for f in made):
+            member = family.at(factor)
+            if member is not None:
+                made[member.factor] = member
+    return [made[factor] for factor in sorted(made)]
 
 
 def _explicit(members: list[Member], window: float, shape: str | None, begin: list[Member], rotary: str) -> Line:
@@ -268,12 +276,14 @@ def _line(label: str, method: methods.Method, shape: str | None, *given) -> Line
     return Line(label, lambda dt: Configuration("total", label, method, dt, shape=shape), *given)
 
 
-def step_errors(found: Converged) -> StepErrors:
-    """From the runs on the coarsest mesh: their distance from the one with most steps, whose own is a third of that of
-    half as many."""
-    coarsest = min(trial.member.factor for trial in found.trials)
-    of_form = found.trials[0].form
-    runs = [t for t in found.trials if t.member.factor == coarsest and t.form == of_form]
+def step_errors(found: Converged) -> StepErrors | None:
+    """From the implicit runs on the coarsest mesh: their distance from the one with most steps, whose own is a third of
+    that of half as many. None where there are none."""
+    implicit = [trial for trial in found.trials if not trial.form.explicit]
+    coarsest = min((trial.member.factor for trial in implicit), default=0.0)
+    runs = [t for t in implicit if t.member.factor == coarsest and t.form == implicit[0].form]
+    if not runs:
+        return None
     finest = max(runs, key=lambda t: t.steps)
     others = {t.steps: apart(t, finest) for t in runs if t.steps < finest.steps}
     if not others:

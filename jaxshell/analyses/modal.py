@@ -35,7 +35,7 @@ from jaxshell.model.mechanisms import check_supported, connected_parts
 from jaxshell.model.scene import Scene
 from jaxshell.numerics import rotations
 from jaxshell.numerics.checks import check_choice, require_float64
-from jaxshell.numerics.compiled import compiled
+from jaxshell.numerics.compiled import compiled_once
 from jaxshell.results.eigenmodes import Eigenmodes, load_eigenmodes, save_eigenmodes
 from jaxshell.results.head import BUCKLING, MODES
 from jaxshell.results.solution import Solution
@@ -192,7 +192,7 @@ def _spinning(scene: Scene, tables: Tables, pattern: SparsityPattern, state, tim
     return Modes(omega / (2 * jnp.pi), first, second, growth)
 
 
-@compiled
+@compiled_once
 def _gyroscopic(scene: Scene, tables: Tables, state, time):
     """Values of the gyroscopic matrix over the free degrees of freedom."""
     model = Model.build(scene, tables)
@@ -252,7 +252,7 @@ def _initial_state(scene: Scene):
 # --- matrices ---------------------------------------------------------------------------------------------
 
 
-@compiled
+@compiled_once
 def _vibration_matrices(scene: Scene, tables: Tables, state, time, loaded: bool, bends_mass: bool):
     """Values of K and M over the free degrees of freedom, their units, the zeros of multipliers, and a scale of ω²
     below the bending frequencies.
@@ -281,7 +281,7 @@ def _vibration_matrices(scene: Scene, tables: Tables, state, time, loaded: bool,
     return K, model.matrix_at(placed[1], M, lumps), model.units, model.soft, model.frequency_scale
 
 
-@compiled
+@compiled_once
 def _buckling_matrices(scene: Scene, tables: Tables, handle):
     """Values of K and K_σ over the free degrees of freedom, K_σ for load factor 1, their units, and the zeros of
     multipliers."""

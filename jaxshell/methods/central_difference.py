@@ -34,7 +34,7 @@ from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import Tables, nodal_tables
 from jaxshell.elements import corotational
 from jaxshell.methods import damping
-from jaxshell.methods.lumped import ROTARY, lumped, lumped_mass, thirds
+from jaxshell.methods.lumped import ROTARY, lumped, lumped_mass, part_of_area, thirds
 from jaxshell.methods.method import Method, Observation, StepInfo, may_have_first_moment
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import MovingState
@@ -117,7 +117,7 @@ class CentralDifference(Method):
 
     def critical_step(self, scene: Scene) -> float:
         """The largest step allowed [time]: safety · 2/ω_max about the initial state, by the element bound."""
-        return float(self.safety * _stable_step(scene, nodal_tables(structure_of(scene)), self.rotary))
+        return float(self.safety * _stable_step(scene, nodal_tables(structure_of(scene)), part_of_area(self.rotary)))
 
     def check(self, scene: Scene, steps) -> None:
         if may_have_first_moment(scene):
@@ -320,7 +320,7 @@ def _damped(model: Model, rotary: str, state: ExplicitState, u, deformations, dt
 
 
 @compiled_once
-def _stable_step(scene: Scene, tables: Tables, rotary: str) -> Float[Array, ""]:
+def _stable_step(scene: Scene, tables: Tables, rotary: Float[Array, ""]) -> Float[Array, ""]:
     """2/ω_max, ω_max the largest frequency of an element of the initial state with its own lumped mass.
 
     With viscous elements the smallest of their own √(β² + 4/ω²) - β, the bound at the top of this file.
@@ -346,7 +346,7 @@ def _stable_step(scene: Scene, tables: Tables, rotary: str) -> Float[Array, ""]:
     return 2.0 / jnp.sqrt(jnp.max(squares))
 
 
-def _of_contributions(model: Model, rotary: str, x, R) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def _of_contributions(model: Model, rotary: Float[Array, ""], x, R) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Bounds of the eigenvalues of M⁻¹K and M⁻¹C of connectors and the like at the start, by Gershgorin's circles.
 
     The eigenvalues of a sum are no more than the sums of the largest.

@@ -6,12 +6,13 @@ from jaxtyping import Array, Float
 from jaxshell.assembly.discretised import Model
 from jaxshell.elements.element import Element
 
-ROTARY = ("physical", "scaled")
-_OF_AREA = 1 / 8
-"""Scaled rotary inertia over mass times area: below it the step of the element's bending is that of its membrane."""
+_OF_AREA = {"physical": 0.0, "scaled": 1 / 8}
+"""Rotary inertia over mass times area, at least: below 1/8 the element's bending asks for smaller steps than its
+membrane."""
+ROTARY = tuple(_OF_AREA)
 
 
-def lumped_mass(model: Model, rotary: str = "physical") -> Float[Array, "n 6"]:
+def lumped_mass(model: Model, rotary: str | Float[Array, ""] = "physical") -> Float[Array, "n 6"]:
     """A third of each element's mass and of its rotary inertia at each of its nodes, and point masses."""
     found = lumped(model, rotary, None)
     if model.lumps is None:
@@ -21,15 +22,21 @@ def lumped_mass(model: Model, rotary: str = "physical") -> Float[Array, "n 6"]:
     return found.at[model.lumps.at].add(jnp.repeat(own, 3, axis=1))
 
 
-def thirds(elements: Element, rotary: str) -> Float[Array, "... 2"]:
+def part_of_area(rotary: str) -> Float[Array, ""]:
+    """What `thirds` takes in place of the name, so that a program serves for all of them."""
+    return jnp.asarray(_OF_AREA[rotary])
+
+
+def thirds(elements: Element, rotary: str | Float[Array, ""]) -> Float[Array, "... 2"]:
     """Mass and rotary inertia that an element, or each of several, gives to each of its nodes."""
     inertia = elements.rotary_inertia
-    if rotary == "scaled":
-        inertia = jnp.maximum(inertia, _OF_AREA * elements.mass_per_area * elements.area)
+    part = _OF_AREA[rotary] if isinstance(rotary, str) else rotary
+    if not isinstance(part, float) or part:
+        inertia = jnp.maximum(inertia, part * elements.mass_per_area * elements.area)
     return jnp.stack([elements.mass_per_area, inertia], axis=-1) * elements.area[..., None] / 3.0
 
 
-def lumped(model: Model, rotary: str, factors: Float[Array, " m"] | None) -> Float[Array, "n 6"]:
+def lumped(model: Model, rotary: str | Float[Array, ""], factors: Float[Array, " m"] | None) -> Float[Array, "n 6"]:
     """`lumped_mass` with the elements' masses times these factors."""
     third = thirds(model.elements, rotary)
     if factors is not None:

@@ -7,30 +7,40 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.core
+import numpy as np
 
 OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
 """XLA's older code generator: on CPUs it takes half the time to compile these programs, and they run no slower
 (`python benchmarks/compile_time.py`). Given to the versions of JAX that it was tried with only."""
-
-
 ONCE: dict[str, Any] = OPTIONS and OPTIONS | {"xla_backend_optimization_level": 0}
-"""For what a run does once: machine code without optimisation, made in less than half the time."""
+"""For what is run once: machine code without optimisation, made in about half the time and several times slower (the
+same command)."""
+_LITTLE = 50_000
+"""Numbers in all arguments below which compiling takes longer than what is to be done once, either way."""
 
 
-def compiled(function: Callable, options: dict[str, Any] = OPTIONS) -> Callable:
+def compiled(function: Callable) -> Callable:
     """`eqx.filter_jit`; where the call is part of a program of the user's, that program's options hold."""
-    # Equinox hands what it does not know to jax.jit, which its signature for type checkers leaves out.
-    alone = eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
-    within = eqx.filter_jit(function)
-
-    @functools.wraps(function)
-    def call(*arguments):
-        traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments))
-        return (within if traced else alone)(*arguments)
-
-    return call
+    return _compiled(function, lambda leaves: OPTIONS)
 
 
 def compiled_once(function: Callable) -> Callable:
-    """`compiled` for a program that a run calls once, where compiling it takes longer than what it does."""
-    return compiled(function, ONCE)
+    """`compiled` for what is run once for a scene or a frame: on small ones not worth the optimiser's time."""
+    return _compiled(function, lambda leaves: ONCE if sum(map(np.size, leaves)) < _LITTLE else OPTIONS)
+
+
+def _compiled(function: Callable, choose: Callable) -> Callable:
+    # Equinox hands what it does not know to jax.jit, which its signature for type checkers leaves out.
+    def with_options(options):
+        return eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
+
+    quick, small, within = with_options(OPTIONS), with_options(ONCE), eqx.filter_jit(function)
+
+    @functools.wraps(function)
+    def call(*arguments):
+        leaves = jax.tree.leaves(arguments)
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+            return within(*arguments)
+        return (quick if choose(leaves) is OPTIONS else small)(*arguments)
+
+    return call

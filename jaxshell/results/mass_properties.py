@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from jaxshell.elements.inertia import LINEAR_MASS
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import check_kind
-from jaxshell.numerics.compiled import compiled
+from jaxshell.numerics.compiled import compiled_once
 from jaxshell.numerics.triangles import local_frame
 
 
@@ -32,7 +32,7 @@ def mass_properties(scene: Scene) -> MassProperties:
     return _mass_properties(scene)
 
 
-@compiled
+@compiled_once
 def _mass_properties(scene: Scene) -> MassProperties:
     x = scene.mesh.nodes[scene.mesh.triangles]
     frames, coordinates = jax.vmap(local_frame)(x)

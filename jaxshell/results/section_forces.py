@@ -23,7 +23,7 @@ from jaxshell.model.materials.base import strain_rotation
 from jaxshell.model.scene import Scene
 from jaxshell.model.sections.direction import angles, check_direction, given_direction
 from jaxshell.numerics.checks import check_choice, check_kind, check_shape, shown
-from jaxshell.numerics.compiled import compiled
+from jaxshell.numerics.compiled import compiled_once
 from jaxshell.numerics.triangles import local_frame
 from jaxshell.results.solution import Solution
 
@@ -232,7 +232,7 @@ def _averaged(found, shape: Shape, at: str):
     return found if at == "points" else jax.tree.map(lambda a: jnp.mean(a, axis=shape.displacements.ndim - 1), found)
 
 
-@compiled
+@compiled_once
 def _section_forces(scene: Scene, shape: Shape, angle, whole: bool) -> SectionForces:
     elements = elements_of(scene)
     strains = strains_at_points(scene, elements, shape)
@@ -244,7 +244,7 @@ def _section_forces(scene: Scene, shape: Shape, angle, whole: bool) -> SectionFo
     return SectionForces(N, M)
 
 
-@compiled
+@compiled_once
 def strains_in_axes(scene: Scene, shape: Shape, angle, whole: bool, elastic: bool) -> SectionStrains:
     strains = strains_at_points(scene, elements_of(scene), shape)
     if elastic:
@@ -261,7 +261,7 @@ def strains_in_axes(scene: Scene, shape: Shape, angle, whole: bool, elastic: boo
     return SectionStrains(jnp.einsum("mij,m...j->m...i", turn, strain), jnp.einsum("mij,m...j->m...i", turn, curvature))
 
 
-@compiled
+@compiled_once
 def energies_of_elements(scene: Scene, shape: Shape) -> Float[Array, " m"]:
     elements = build_elements(scene)
     if scene.initial_strains:

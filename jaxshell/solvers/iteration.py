@@ -170,6 +170,7 @@ class Start(NamedTuple):
     def chosen(self, at, r, error, rotates) -> tuple["Start", Float[Array, " nf"], Bool[Array, ""]]:
         """From the residual r, of the size `error`, at the iterate `at`: (what is known now, the next iterate, whether
         that one is to be looked at before any correction)."""
+        assert self.calm is not None and self.unbalanced is not None
         force = jnp.sum(jnp.where(rotates, 0.0, r) ** 2)
         # Comparisons with what is no number are false: then the calm start is taken.
         off = (self.stage == _NEW) & ~(error <= _OFF)
