@@ -68,7 +68,7 @@ RUNS = {
     "controlled": COMMON | PAPER | CONTROL,
     "Newmark": COMMON | {"method": ("Newmark",), "beta": 0.3, "gamma": 0.6},
     "HHT": COMMON | {"method": ("HHT",), "alpha": -0.1},
-    "adapted": COMMON | {"method": ("Newmark",), "adapt": 0.1, "goal": "tip"},
+    "adapted": COMMON | PAPER | {"adapt": 0.1, "goal": "tip"},
     "central": {"method": ("CentralDifference",), "safety": 0.5, "rotary": "scaled", "dt": 1e-5, "t_end": 3e-5},
 }
 
