@@ -31,13 +31,13 @@ def test_the_fewest_elements_are_chosen_that_have_the_bulk():
 
 def test_the_estimate_goes_by_what_the_step_before_changed():
     """A goal 1 - c η is extrapolated exactly, whatever c is, and κ is c."""
-    c, eta = 0.3, [0.4, 0.1, 0.06]
+    c, eta = 0.6, [0.4, 0.1, 0.06]
     factor = 1.0
     for k in (1, 2):
-        factor = corrected(factor, k, c * (eta[k - 1] - eta[k]), eta[k - 1] - eta[k], eta[k - 1])
+        factor = corrected(factor, c * (eta[k - 1] - eta[k]), eta[k - 1] - eta[k], eta[k - 1])
         assert factor == pytest.approx(c)
-    assert corrected(0.3, 2, 0.0, 0.05, 0.1) == 0.15  # a goal that stands still may turn
-    assert corrected(0.3, 2, 1.0, 0.001, 0.1) == 0.3  # too little was removed to tell
+    assert corrected(0.3, 0.0, 0.05, 0.1) == 0.15  # a goal that stands still may turn
+    assert corrected(0.3, 1.0, 0.001, 0.1) == 0.3  # too little was removed to tell
 
 
 def test_a_scaled_section_scales_stiffness_and_stresses_and_no_mass():

@@ -149,9 +149,9 @@ def test_stopped_while_it_is_adapted_nothing_is_written(folder, monkeypatch, cap
 def test_a_mesh_that_cannot_be_run_is_named(folder, monkeypatch, capsys):
     """Central differences have a critical step, which finer meshes lower."""
     monkeypatch.setattr(adapting, "adapt", lambda scene, *_, analysis, **__: analysis(js.refine(scene, 5)))
-    assert run(folder, "asked.toml") == 2
+    assert run(folder, "asked.toml", "--dt", "2e-4") == 2
     said = capsys.readouterr().err
-    assert said.startswith("jaxshell: On the mesh of 2048 elements: dt is 0.0001, but the critical step")
+    assert said.startswith("jaxshell: On the mesh of 2048 elements: dt is 0.0002, but the critical step")
     assert not list(folder.glob("*.h5"))
 
 

@@ -15,8 +15,8 @@ V is extrapolated,
 
     V∞ - V ≈ κ η,   κ = |V - V'| / (η' - η)
 
-from the mesh before (V', η') to this. κ falls to no less than half from mesh to mesh, lest a goal that turns back on
-its way seem right.
+from the mesh before (V', η') to this. κ begins with 1 and falls to no less than half from mesh to mesh, lest a goal that
+turns back on its way seem right; and where η did not fall the goal errs by no less than it changed.
 """
 
 import warnings
@@ -135,7 +135,7 @@ def adapt(
         value, shares, scale = _errors(scene, solution, analysis, function, goal)
         before, recovered = recovered, float(shares.sum())
         changed = value - done[-1].value if done else 0.0
-        factor = corrected(factor, len(done), changed, before - recovered, before) if done else factor
+        factor = corrected(factor, changed, before - recovered, before) if done else factor
         relative = recovered / scale if scale else 0.0
         estimate = max(factor * recovered, least(changed, before - recovered, before)) / scale if scale else 0.0
         done.append(Round(scene.mesh.n_elements, _unknowns(scene), value, relative, estimate))
@@ -154,14 +154,14 @@ def adapt(
         scene = finer
 
 
-def corrected(factor: float, rounds: int, changed: float, removed: float, before: float) -> float:
+def corrected(factor: float, changed: float, removed: float, before: float) -> float:
     """κ after a round that changed the goal, and removed a part of the recovered error that was there before.
 
-    Where too little was removed to tell it stays. The first mesh has none to keep half of.
+    Where too little was removed to tell it stays; of the first mesh it is 1.
     """
     if removed <= _TELLS * before:
         return factor
-    return max(abs(changed) / removed, 0.5 * factor if rounds > 1 else 0.0)
+    return max(abs(changed) / removed, 0.5 * factor)
 
 
 def least(changed: float, removed: float, before: float) -> float:
