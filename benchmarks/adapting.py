@@ -100,7 +100,8 @@ class Way(NamedTuple):
 
 
 def compared(make, label: str, limit: float, way: Way, goals=(None,)) -> list[list[str]]:
-    """Rows for uniform meshes, and for those of `adapt` from one of them; errors of what is watched as `label`."""
+    """Rows for uniform meshes, for one of them bisected everywhere, by halves of all edges, and for those of `adapt` from
+    it; errors of what is watched as `label`."""
     analysis, rows = linear(way.shape, limit), []
 
     def row(kind: str, scene, deflection: float, *more: float) -> None:
@@ -116,6 +117,10 @@ def compared(make, label: str, limit: float, way: Way, goals=(None,)) -> list[li
     for divisions in way.uniform:
         scene = js.with_shape(make(divisions), way.shape)
         row("uniform", scene, float(analysis(scene).watched[label][-1]))
+    scene = js.with_shape(make(way.start), way.shape)
+    for _ in range(2):
+        scene = js.refine(scene, 2, elements=np.arange(scene.mesh.n_elements))
+        row("bisected", scene, float(analysis(scene).watched[label][-1]))
     for goal in goals:
         done = []
 

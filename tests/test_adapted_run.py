@@ -146,6 +146,14 @@ def test_stopped_while_it_is_adapted_nothing_is_written(folder, monkeypatch, cap
     assert "nothing was written" in capsys.readouterr().err and not list(folder.glob("*.h5"))
 
 
+def test_a_goal_without_derivatives_is_a_failure(folder, monkeypatch, capsys):
+    """A load step that the analysis has to cut cannot be differentiated as it is given."""
+    monkeypatch.setattr(adapting.jax, "grad", lambda function: lambda factors: np.nan * np.asarray(factors))
+    assert run(folder, "asked.toml", "--quiet") == 1
+    assert "The derivatives of the goal are not finite" in capsys.readouterr().err
+    assert not list(folder.glob("*.h5"))
+
+
 def test_a_mesh_that_cannot_be_run_is_named(folder, monkeypatch, capsys):
     """Central differences have a critical step, which finer meshes lower."""
     monkeypatch.setattr(adapting, "adapt", lambda scene, *_, analysis, **__: analysis(js.refine(scene, 5)))

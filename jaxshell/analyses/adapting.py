@@ -15,8 +15,8 @@ V is extrapolated,
 
     V∞ - V ≈ κ η,   κ = |V - V'| / (η' - η)
 
-from the mesh before (V', η') to this. κ begins with 1 and falls to no less than half from mesh to mesh, lest a goal that
-turns back on its way seem right; and where η did not fall the goal errs by no less than it changed.
+from the mesh before (V', η') to this. κ begins with 1 and falls to no less than half from mesh to mesh, lest a goal
+that turns back on its way seem right; and where η did not fall the goal errs by no less than it changed.
 """
 
 import warnings

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import functools
 import sys
 import warnings
 from collections.abc import Callable
@@ -33,17 +34,12 @@ def adapted(options: argparse.Namespace, settings: RunSettings, scene: "Scene", 
     _check_place(options, scene, stem)
     say = (lambda *_: None) if options.quiet else lambda line: print(line, flush=True)
     say(describe_scene(scene))
-    say(f"  adapting to {100 * settings.adapt:.3g} % of {settings.goal or 'the strain energy'}\n  {HEADING}")  # pyright: ignore[reportOptionalOperand]
+    goal, tolerance = settings.goal, required(settings, "adapt")
+    say(f"  adapting to {100 * tolerance:.3g} % of {goal or 'the strain energy'}\n  {HEADING}")
     with warnings.catch_warnings():
         # The run on the last mesh says again what there is to say, and the message why the tolerance was not met.
         warnings.simplefilter("ignore", UserWarning)
-        found = adapt(
-            scene,
-            settings.adapt,
-            analysis=analysis,
-            goal=settings.goal,
-            report=lambda mesh: say(f"  {mesh}"),  # pyright: ignore[reportArgumentType]
-        )
+        found = adapt(scene, tolerance, analysis=analysis, goal=goal, report=lambda mesh: say(f"  {mesh}"))
     if found.met:
         say("  within the tolerance")
     else:
@@ -80,14 +76,10 @@ def _analysis(settings: RunSettings, scene: "Scene") -> "Callable[[Scene], Any]"
     if settings.analysis == ANALYSES[0]:
         (method,) = chosen_methods(settings, scene).values()
         t_end, asked = required(settings, "t_end"), arguments_of_simulate(settings)
-
-        def run(each: "Scene"):
-            return simulate(each, method, t_end=t_end, **asked, throw=False)
+        run = functools.partial(simulate, method=method, t_end=t_end, **asked, throw=False)
     else:
         solve, arguments = path_analysis(settings)
-
-        def run(each: "Scene"):
-            return solve(each, **arguments, throw=False)
+        run = functools.partial(solve, **arguments, throw=False)
 
     def analysis(each: "Scene"):
         try:

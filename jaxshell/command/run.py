@@ -73,6 +73,9 @@ def _run(options: argparse.Namespace) -> int:
         except KeyboardInterrupt as stopped:
             print("jaxshell: stopped while the mesh was adapted; nothing was written.", file=sys.stderr)
             return exit_status(stopped)
+        except RuntimeError as error:
+            print(f"jaxshell: the mesh was not adapted. {error}", file=sys.stderr)
+            return 1
     run = _run_in_time if analysis == "time" else run_analysis
     status = run(options, settings, scene, stem)
     return status if met else status or 1
