@@ -116,16 +116,27 @@ def stiffness(shape: str):
     return jax.jit(jax.vmap(one, in_axes=(0, 0, None, None, None)))
 
 
-def linear_displacements(scene: js.Scene, normals, matrices) -> np.ndarray:
-    """(n, 6) displacements and rotations under the scene's loads, if all were linear; by SciPy's sparse solver."""
-    mesh, section = scene.mesh, scene.section
-    nodes, triangles = np.asarray(mesh.nodes), mesh.triangles
+def element_matrices(scene: js.Scene, normals, matrices) -> np.ndarray:
+    """(m, 18, 18) the elements' stiffness matrices at rest."""
+    section, triangles = scene.section, scene.mesh.triangles
+    nodes = np.asarray(scene.mesh.nodes)
     values = [float(value) for value in (section.thickness, section.young_modulus, section.poisson_ratio)]
     padded = np.resize(np.arange(len(triangles)), -(-len(triangles) // _BATCH) * _BATCH).reshape(-1, _BATCH)
     found = [np.asarray(matrices(nodes[triangles[k]], normals[k], *values)) for k in padded]
-    dofs = (6 * triangles[:, :, None] + np.arange(6)).reshape(-1, 18)
-    rows, columns, size = np.repeat(dofs, 18, axis=1).ravel(), np.tile(dofs, (1, 18)).ravel(), 6 * len(nodes)
-    K = sparse.csc_matrix((np.concatenate(found)[: len(triangles)].ravel(), (rows, columns)), (size, size))
+    return np.concatenate(found)[: len(triangles)]
+
+
+def dofs_of(triangles) -> np.ndarray:
+    """(m, 18) degrees of freedom of triangles."""
+    return (6 * triangles[:, :, None] + np.arange(6)).reshape(-1, 18)
+
+
+def linear_displacements(scene: js.Scene, normals, matrices) -> np.ndarray:
+    """(n, 6) displacements and rotations under the scene's loads, if all were linear; by SciPy's sparse solver."""
+    mesh, triangles = scene.mesh, scene.mesh.triangles
+    found, dofs = element_matrices(scene, normals, matrices), dofs_of(triangles)
+    rows, columns, size = np.repeat(dofs, 18, axis=1).ravel(), np.tile(dofs, (1, 18)).ravel(), 6 * mesh.n_nodes
+    K = sparse.csc_matrix((found.ravel(), (rows, columns)), (size, size))
     loads = sum(np.asarray(load.nodal(mesh.nodes, triangles, np.ones(len(triangles)))) for load in scene.loads)
     free = np.setdiff1d(np.arange(size), scene.held_dofs)
     u = np.zeros(size)

@@ -30,6 +30,8 @@ hold = "clamped"
 kind = "force"
 nearest = [1, 0, 0]
 force = [0, 0, 0.01]
+[watch]
+tip = { nearest = [1, 0, 0], component = "uz" }
 """
 
 # Every key with a value that is not the default; methods differ in their parameters.
@@ -66,12 +68,14 @@ RUNS = {
     "controlled": COMMON | PAPER | CONTROL,
     "Newmark": COMMON | {"method": ("Newmark",), "beta": 0.3, "gamma": 0.6},
     "HHT": COMMON | {"method": ("HHT",), "alpha": -0.1},
+    "adapted": COMMON | PAPER | {"adapt": 0.1, "goal": "tip"},
     "central": {"method": ("CentralDifference",), "safety": 0.5, "rotary": "scaled", "dt": 1e-5, "t_end": 3e-5},
 }
 
 SOLVED = {key: COMMON[key] for key in COMMON if key.startswith("newton_") or key in ("tangent", "linear_solver")}
 ANALYSES = {
     "static": SOLVED | {"load_factors": (0.5, 2.0), "branch": "follow", "save_every": 2},
+    "static, adapted": SOLVED | {"analysis": "static", "load_factors": (0.5,), "adapt": 0.2, "goal": "tip"},
     "static in steps": SOLVED | {"analysis": "static", "load_steps": 4, "picture_times": (0.0, 0.5)},
     "arc-length": SOLVED | {"arc_length": 0.1, "max_steps": 7, "max_load_factor": 3.0},
     "modes": {"count": 4, "rigid_modes": False, "preload": 0.5, "inertia": "cubic"},
@@ -130,6 +134,7 @@ def test_other_analyses_are_asked_for_alike(name, monkeypatch, tmp_path):
         own = {key: named[key] for key in named if key in KEYS or key == "steps"}
         expected = {
             "static": {"load_factors": (0.5, 2.0), "branch": "follow"},
+            "static, adapted": {"load_factors": (0.5,)},
             "static in steps": {"load_factors": (0.25, 0.5, 0.75, 1.0)},
             "arc-length": {"arc_length": 0.1, "steps": 7, "max_load_factor": 3.0},
         }
@@ -267,6 +272,13 @@ def test_command_line_comes_before_the_file(asked, tmp_path):
         (
             'inertia = "much"',
             "[run] inertia must be one of seven_point, traditional, none, linear, cubic, but it is 'much'",
+        ),
+        ("goal = 3", "[run] goal must be a label, which is text, but it is 3"),
+        ('goal = ""', "[run] goal must be a label, which is text, but it is ''"),
+        ('adapt = "fine"', "[run] adapt must be a number, but it is 'fine'"),
+        (
+            'analysis = "modes"\nadapt = 0.1',
+            '[run] adapt is for analysis = "time" or "static", but the analysis is "modes"',
         ),
         ("picture_times = 0.1", "[run] picture_times must be a list of numbers, but it is 0.1"),
         ("picture_times = [true]", "[run] picture_times must be a list of numbers"),

@@ -15,8 +15,8 @@ V is extrapolated,
 
     V∞ - V ≈ κ η,   κ = |V - V'| / (η' - η)
 
-from the mesh before (V', η') to this. κ falls to no less than half from mesh to mesh, lest a goal that turns back on
-its way seem right.
+from the mesh before (V', η') to this. κ begins with 1 and falls to no less than half from mesh to mesh, lest a goal
+that turns back on its way seem right; and where η did not fall the goal errs by no less than it changed.
 """
 
 import warnings
@@ -44,6 +44,9 @@ HALVINGS = 2
 _TELLS = 0.1
 """Part of the recovered error that a round must have removed for what changed with it to say how large the rest is."""
 
+HEADING = f"{'elements':>9} {'unknowns':>9} {'value':>13} {'error':>8}"
+"""Of rounds as text."""
+
 Goal = Callable[[Solution], Any]
 
 
@@ -59,6 +62,9 @@ class Round(NamedTuple):
     estimate: float
     """The same as the mesh before corrects it; of the first mesh it is not."""
 
+    def __str__(self) -> str:
+        return f"{self.elements:9d} {self.unknowns:9d} {self.value:13.6g} {self.estimate:8.2%}"
+
 
 class Adapted(NamedTuple):
     """What `adapt` ends with."""
@@ -73,9 +79,7 @@ class Adapted(NamedTuple):
     """Why not; empty where it did."""
 
     def __str__(self) -> str:
-        lines = [f"{'elements':>9} {'unknowns':>9} {'value':>13} {'error':>8}"]
-        lines += [f"{r.elements:9d} {r.unknowns:9d} {r.value:13.6g} {r.estimate:8.2%}" for r in self.rounds]
-        return "\n".join([*lines, self.message or "within the tolerance"])
+        return "\n".join([HEADING, *map(str, self.rounds), self.message or "within the tolerance"])
 
 
 def adapt(
@@ -89,6 +93,7 @@ def adapt(
     most_elements: int = 20_000,
     surface: TrueSurface | str | None = None,
     crease: float = CREASE,
+    report: Callable[[Round], Any] | None = None,
 ) -> Adapted:
     """Refine a scene's mesh where its errors come from, until the answer is within a tolerance.
 
@@ -106,6 +111,7 @@ def adapt(
         rounds: meshes, at most.
         most_elements: no mesh has more.
         surface, crease: where new nodes go, as in `refine`.
+        report: called with every round when it is done, `print` for one.
 
     Every mesh is another program to compile: a few good rounds cost less than many small ones. Where the tolerance is
     not met there is a warning, and `met` and `message` say so. docs/adapting.md shows what the estimate is worth.
@@ -117,7 +123,7 @@ def adapt(
     check_within("bulk", bulk, 0.0, 1.0)
     check_count("rounds", rounds)
     check_count("most_elements", most_elements)
-    function = _goal_of(scene, goal)
+    function = goal_of(scene, goal)
     analysis = solve_static if analysis is None else analysis
     done: list[Round] = []
     factor, recovered, split = 1.0, 0.0, None
@@ -128,10 +134,13 @@ def adapt(
             return _ended(scene, solution, done, f"The analysis failed: {solution.message}")
         value, shares, scale = _errors(scene, solution, analysis, function, goal)
         before, recovered = recovered, float(shares.sum())
-        if done:
-            factor = corrected(factor, len(done), value - done[-1].value, before - recovered, before)
+        changed = value - done[-1].value if done else 0.0
+        factor = corrected(factor, changed, before - recovered, before) if done else factor
         relative = recovered / scale if scale else 0.0
-        done.append(Round(scene.mesh.n_elements, _unknowns(scene), value, relative, factor * relative))
+        estimate = max(factor * recovered, least(changed, before - recovered, before)) / scale if scale else 0.0
+        done.append(Round(scene.mesh.n_elements, _unknowns(scene), value, relative, estimate))
+        if report is not None:
+            report(done[-1])
         if len(done) > 1 and done[-1].estimate <= tolerance:
             return Adapted(scene, solution, tuple(done), True, "")
         if len(done) == rounds:
@@ -145,14 +154,20 @@ def adapt(
         scene = finer
 
 
-def corrected(factor: float, rounds: int, changed: float, removed: float, before: float) -> float:
+def corrected(factor: float, changed: float, removed: float, before: float) -> float:
     """κ after a round that changed the goal, and removed a part of the recovered error that was there before.
 
-    Where too little was removed to tell it stays. The first mesh has none to keep half of.
+    Where too little was removed to tell it stays; of the first mesh it is 1.
     """
     if removed <= _TELLS * before:
         return factor
-    return max(abs(changed) / removed, 0.5 * factor if rounds > 1 else 0.0)
+    return max(abs(changed) / removed, 0.5 * factor)
+
+
+def least(changed: float, removed: float, before: float) -> float:
+    """What the error is at least taken for: where too little was removed to tell what the goal's change came of, all of
+    it."""
+    return abs(changed) if removed <= _TELLS * before else 0.0
 
 
 def chosen(shares: np.ndarray, bulk: float) -> np.ndarray:
@@ -181,7 +196,7 @@ def _unknowns(scene: Scene) -> int:
     return 6 * scene.mesh.n_nodes - len(scene.held_dofs)
 
 
-def _goal_of(scene: Scene, goal: Goal | str | None) -> Goal | None:
+def goal_of(scene: Scene, goal: Goal | str | None) -> Goal | None:
     """The goal as a function of the solution. Raises ValueError for a label that is not watched, and for a gauge."""
     if not isinstance(goal, str):
         if goal is not None and not callable(goal):
@@ -219,5 +234,10 @@ def _errors(scene: Scene, solution: Solution, analysis, function: Goal | None, g
     if np.shape(value) != () or not is_concrete(value):
         raise ValueError(f"goal must give one number, but it gives an array of shape {np.shape(value)}.")
     weights = np.asarray(jax.grad(of_factors)(jnp.ones(scene.mesh.n_elements)))
+    if not np.all(np.isfinite(weights)):
+        raise RuntimeError(
+            "The derivatives of the goal are not finite: traced by jax.grad, the analysis fails. Statics then take the "
+            "load factors as they are given: give more of them."
+        )
     size = jnp.max(jnp.abs(solution.watched[goal])) if isinstance(goal, str) else jnp.abs(value)
     return float(value), np.abs(weights) * relative, float(size)

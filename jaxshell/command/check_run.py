@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxshell.analyses.modal import natural_frequencies
 from jaxshell.analyses.simulation import check_turns, step_sizes
+from jaxshell.command.adapted import check_adapting
 from jaxshell.command.check_scene import entry
 from jaxshell.command.run_settings import arguments_of_simulate, chosen_methods, with_defaults
 from jaxshell.files.quoted import quote
@@ -34,6 +35,7 @@ def _run(scene: Scene, settings: RunSettings) -> tuple[list[str], list[str]]:
         return [entry("run", f"in time; the scene gives no {missing}")], []
     try:
         methods, arguments = chosen_methods(settings, scene), arguments_of_simulate(settings)
+        _check_adapting(settings, scene)
         for method in methods.values():
             method.check(scene, np.asarray([settings.dt]))
         if isinstance(arguments["dt"], float):
@@ -47,6 +49,10 @@ def _run(scene: Scene, settings: RunSettings) -> tuple[list[str], list[str]]:
         else f"dt {quote(dt)}"
     )
     lines = [entry("run", f"in time: {', '.join(methods)} to t = {settings.t_end:.6g}, {size}")]
+    if settings.adapt is not None:
+        lines.append(
+            entry("adapted", f"the mesh, to {100 * settings.adapt:.3g} % of {settings.goal or 'the strain energy'}")
+        )
     if scene.damping is not None:
         parts = {"α": scene.damping.alpha, "β": scene.damping.beta}
         given = [f"{name} {float(np.max(np.asarray(value))):.6g}" for name, value in parts.items() if value is not None]
@@ -62,12 +68,18 @@ def _other(scene: Scene, settings: RunSettings) -> tuple[list[str], list[str]]:
     if settings.analysis == "modes" and settings.preload is None:
         return [line], []
     try:
+        _check_adapting(settings, scene)
         check_supported(scene)
     except ValueError as error:
         return [line], [str(error)]
     if not scene.loads and not any(support.moves_with_load for support in scene.supports):
         return [line], [f"Nothing loads or moves the shell: {settings.analysis} has nothing to do."]
     return [line], []
+
+
+def _check_adapting(settings: RunSettings, scene: Scene) -> None:
+    if settings.adapt is not None or settings.goal is not None:
+        check_adapting(settings, scene)
 
 
 def _shown(value) -> str:

@@ -4,6 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from jaxshell.command.adapted import adapted
 from jaxshell.command.analyses import contours_of, run_analysis
 from jaxshell.command.outputs import outputs, say_besides
 from jaxshell.command.run_settings import (
@@ -54,7 +55,8 @@ def add(commands) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    one_thread_for_small_meshes(options.scene, options.divisions)
+    if options.adapt is None:
+        one_thread_for_small_meshes(options.scene, options.divisions)
     prepare_jax()
     scene, of_file, stem = open_scene(options.scene, options.divisions)
     scene, stem = _changed(options, scene, stem)
@@ -63,9 +65,20 @@ def _run(options: argparse.Namespace) -> int:
     analysis = str(settings.analysis)
     if analysis != (of_file.analysis or "time"):
         stem = f"{stem}_{analysis.replace('-', '_')}"
-    if analysis != "time":
-        return run_analysis(options, settings, scene, stem)
-    return _run_in_time(options, settings, scene, stem)
+    stem = stem if options.adapt is None else f"{stem}_adapted"
+    met = True
+    if settings.adapt is not None or settings.goal is not None:
+        try:
+            scene, met = adapted(options, settings, scene, stem)
+        except KeyboardInterrupt as stopped:
+            print("jaxshell: stopped while the mesh was adapted; nothing was written.", file=sys.stderr)
+            return exit_status(stopped)
+        except RuntimeError as error:
+            print(f"jaxshell: the mesh was not adapted. {error}", file=sys.stderr)
+            return 1
+    run = _run_in_time if analysis == "time" else run_analysis
+    status = run(options, settings, scene, stem)
+    return status if met else status or 1
 
 
 def _changed(options: argparse.Namespace, scene, stem: str):

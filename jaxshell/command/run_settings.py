@@ -38,7 +38,10 @@ def _about_as_many_elements(name: str, divisions: Sequence[int] | None) -> int:
         if path.suffix == ".toml":
             import tomllib
 
-            found = tomllib.loads(path.read_text(encoding="utf-8"))["mesh"]["divisions"]
+            content = tomllib.loads(path.read_text(encoding="utf-8"))
+            if "adapt" in content.get("run", {}):
+                return 0
+            found = content["mesh"]["divisions"]
         else:
             from jaxshell.scenes import BY_NAME, default_divisions
 

@@ -157,6 +157,8 @@ class _Cases:
         scene, settings = scene_of(self.content, options.scene)
         self.name = scene.name
         settings = settled(options, settings, scene)
+        if settings.adapt is not None or settings.goal is not None:
+            raise ValueError("A sweep runs all members on one mesh: leave adapt and goal out, or adapt each by itself.")
         self.controlled, self.save_every = settings.step_tolerance is not None, settings.save_every
         # The modes of an imperfection are each member's own.
         made_anew = IMPERFECTION in self.content["mesh"] or REFINE in self.content["mesh"]

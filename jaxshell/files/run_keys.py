@@ -20,6 +20,7 @@ _WORDS = {
     "switch": "true or false",
     "names": "a name or a list of names",
     "numbers": "a list of numbers",
+    "label": "a label, which is text",
 }
 
 
@@ -158,6 +159,19 @@ class RunSettings:
         "(docs/errors.md; default: no)",
         of=("time", "static", "modes", "buckling"),
     )
+    adapt: float | None = _key(
+        "number",
+        "refine the mesh where its errors come from, until the strain energy or the goal is within this relative error "
+        "(docs/adapting.md; default: the scene's mesh)",
+        metavar="TOL",
+        of=("time", "static"),
+    )
+    goal: str | None = _key(
+        "label",
+        "what is watched that adapt brings within its tolerance, at the end of the run (default: the strain energy)",
+        metavar="LABEL",
+        of=("time", "static"),
+    )
     picture_times: tuple[float, ...] | None = _key(
         "numbers", "times of the shapes that are drawn, or load factors", metavar="T", of=_STEPPED
     )
@@ -254,7 +268,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
             options["choices"] = choices
         else:
             options["metavar"] = field.metadata["metavar"]
-            options["type"] = {"count": int, "names": str}.get(kind, float)
+            options["type"] = {"count": int, "names": str, "label": str}.get(kind, float)
             if kind in ("names", "numbers"):
                 options["nargs"] = "+"
         parser.add_argument("--" + field.name.replace("_", "-"), **options)
@@ -279,6 +293,10 @@ def _number(value: Any, _=()) -> float | None:
         return None  # an integer beyond the floats
 
 
+def _text(value: Any, _=()) -> str | None:
+    return value if isinstance(value, str) and value else None
+
+
 def _list_of(check):
     def checked(value, _=()):
         items = [value] if isinstance(value, str) else value
@@ -294,5 +312,6 @@ _CHECKS = {
     "count": lambda value, _: value if type(value) is int and value >= 1 else None,
     "switch": lambda value, _: value if isinstance(value, bool) else None,
     "choice": lambda value, choices: value if isinstance(value, str) and value in choices else None,
-    "names": _list_of(lambda item: item if isinstance(item, str) and item else None),
+    "names": _list_of(_text),
+    "label": _text,
 }

@@ -316,6 +316,7 @@ def _run() -> Schema:
         "switch": SWITCH,
         "names": _any(TEXT, _list(TEXT)),
         "numbers": NUMBERS,
+        "label": {**TEXT, "minLength": 1},
     }
     properties = {}
     for field in dataclasses.fields(RunSettings):
