@@ -252,6 +252,15 @@ def test_an_explicit_method_that_is_cheaper_is_advised(pretended):
 
 
 @pytest.mark.wrong_types
+def test_where_no_time_is_left_the_answer_s_own_runs_are_advised(pretended, monkeypatch):
+    monkeypatch.setattr(advising._Clock, "left", lambda self: -1.0)
+    advice = advice_of(0.03)
+    assert advice.met and not pretended.timed
+    assert pretended.error(advice.member.scene, advice.best) + advice.reference.uncertainty <= 0.03
+    assert any("the budget of time was spent" in reason for reason in advice.reasons)
+
+
+@pytest.mark.wrong_types
 def test_a_tolerance_below_what_is_known_is_not_promised(pretended):
     pretended.noise = 0.1
     advice = advice_of(0.005, budget=1e3)

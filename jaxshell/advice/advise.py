@@ -76,8 +76,10 @@ def advise(
     search = _Search(family, found, goal, clock, say)
     if goal < _LEAST * tolerance:
         return search.unknown(tolerance)
-    for line in search.lines.values():
+    for line in sorted(search.lines.values(), key=lambda line: line.least_seconds(goal)):
         search.pursue(line)
+    if search.best is None:
+        search.take_trial()
     if search.best is None:
         return search.nothing(tolerance)
     reasons = search.mesh_and_step_reasons()
@@ -97,8 +99,11 @@ class _Clock:
     def __init__(self, budget: float):
         self.begun, self.budget = time.perf_counter(), budget
 
+    def left(self) -> float:
+        return self.budget - (time.perf_counter() - self.begun)
+
     def spent(self) -> bool:
-        return time.perf_counter() - self.begun > self.budget
+        return self.left() < 0.0
 
 
 class _Search:
@@ -150,10 +155,19 @@ class _Search:
                 if self.best is None or self.best.configuration.label != line.label:
                     self.said.append(line.why_not(self.goal, limit))
                 return
-            if self.clock.spent() and self.best is not None:
+            within = line.choice(self.goal, min(limit, self.clock.left()))
+            if within is None:
                 self.said.append(f"{line.label} was not followed to its end: the budget of time was spent")
                 return
-            self.measured(line, *choice)
+            self.measured(line, *within)
+
+    def take_trial(self) -> None:
+        """The quickest of the reference's own runs that meets the goal."""
+        pairs = zip(self.found.trials, self.of_trials(), strict=True)
+        good = [(t, p) for t, p in pairs if p.error <= self.goal and p.label in self.lines]
+        if good:
+            trial, point = min(good, key=lambda pair: pair[1].seconds)
+            self.best = Entry(trial.member, trial.form.configuration(trial.dt), point)
 
     def mesh_and_step_reasons(self) -> list[str]:
         """What the mesh and the step of the best add, what coarser ones would, and why not the other lines."""
@@ -182,7 +196,7 @@ class _Search:
     def loosen_newton(self, reasons: list[str]) -> None:
         """Looser Newton tolerances while they pay and the answer stands."""
         assert self.best is not None
-        if not self.best.configuration.method.uses_matrix:
+        if not self.best.configuration.method.uses_matrix or self.clock.left() < self.best.point.seconds:
             return
         line = self.lines[self.best.point.label]
         for tolerance in (1e-6, 1e-4):

@@ -1,9 +1,9 @@
 """The answer of the continuous problem, from trials: two discretisations on a family of meshes, extrapolated.
 
 `EnergyMomentum` on meshes whose elements halve in size, with the step halved along; by two forms of the element that
-have little in common but the limit. Where the critical step is not far below the motion's, both forms are taken by
-central differences: they resolve what rings besides, as after a force on a point that is there at once, and compile in
-a third of the time. Errors of mesh and step are of
+have little in common but the limit. Where the critical step is not far below the motion's, or no larger step resolves
+what rings, as after a force on a point that is there at once, both forms are taken by central differences, which
+compile in a third of the time besides. Errors of mesh and step are of
 second order together, so that Richardson's extrapolation of the two finest, which differ by c, takes both out: c/3.
 Runs whose changes fall by the factor ρ have c/(ρ-1) left, and a form's extrapolation is known to the difference of the
 two, with ρ as seen but for some safety: 4 where all is of second order, 2 of first, 1 where noise is left. So what does
@@ -43,9 +43,12 @@ _FEWEST = 8
 _LUMPED = "lumped"
 _EXPLICIT_SECONDS = 1e-6
 """Of one element in one step of central differences, about."""
-_TWICE_FINER = 64
-"""Times the coarsest mesh's work is that of the one that is halved twice: 16 times the elements, up to 4 times the
-steps."""
+_TWICE_FINER = 32
+"""Times the coarsest mesh's work is that of the one that is halved twice: 16 times the elements, about twice the steps,
+which bending settles on coarse meshes and membranes on fine ones."""
+_CHEAP, _BEARABLE = 0.5, 4.0
+"""That work of both forms over the time there is: below the one central differences are taken, below the other where
+larger steps do not resolve what happens."""
 
 
 class Form(NamedTuple):
@@ -144,10 +147,13 @@ def converged(
     forms: tuple[Form, ...] = implicit_forms
     coarse = _coarsest(family)
     trials, notes, levels, steps = [], [], [], 0
-    if _explicit_is_for(coarse, forms, t_end, seconds):
+    work = _explicit_work(coarse, forms, t_end) / seconds
+    explicit = work <= _CHEAP
+    if not explicit:
+        steps, trials, resolved = _first_steps(family, coarse, forms[0], dt, t_end, 4.0 * target, say)
+        explicit = not resolved and work <= _BEARABLE
+    if explicit:
         forms = tuple(Form(form.shape, _LUMPED) for form in forms)
-    else:
-        steps, trials = _first_steps(family, coarse, forms[0], dt, t_end, 4.0 * target, say)
     found: Reference | None = None
     member: Member | None = coarse
     while member is not None:
@@ -202,8 +208,8 @@ def _coarsest(family: Family) -> Member:
 
 def _first_steps(
     family: Family, member: Member, form: Form, dt: float, t_end: float, target: float, say: Callable
-) -> tuple[int, list[Trial]]:
-    """Steps for the coarsest mesh, with an error of `target` at most or the most that were tried, and all runs.
+) -> tuple[int, list[Trial], bool]:
+    """Steps for the coarsest mesh, with an error of `target` at most, the runs that told it, and whether there is one.
 
     Raises ValueError where no run succeeds.
     """
@@ -217,23 +223,23 @@ def _first_steps(
                 change = apart(trials[-1], trials[-2])
                 say(f"  {member.label}, {count} steps instead of half as many change the answer by {change:.1e}")
                 if 4.0 / 3.0 * change <= target:
-                    return trials[-2].steps, trials
+                    return trials[-2].steps, trials, True
         count *= 2
     if not trials:
         raise ValueError("The scene does not run at any step tried: give a smaller dt.")
-    return trials[-1].steps, trials
+    return trials[-1].steps, trials, False
 
 
-def _explicit_is_for(coarse: Member, forms: tuple[Form, ...], t_end: float, seconds: float) -> bool:
-    """Whether two shapes of elements can be run by central differences, and are refined twice in half of the time."""
+def _explicit_work(coarse: Member, forms: tuple[Form, ...], t_end: float) -> float:
+    """Seconds that two shapes of elements take by central differences on a mesh halved twice, about. Infinite where
+    there is one shape only, or the method is not for the scene."""
     if len({form.shape for form in forms}) < 2:
-        return False
+        return np.inf
     try:
         steps = Form(forms[0].shape, _LUMPED).steps_on(coarse, t_end)
     except ValueError:
-        return False
-    work = steps * coarse.scene.mesh.n_elements * _TWICE_FINER * _EXPLICIT_SECONDS
-    return len(forms) * work <= 0.5 * seconds
+        return np.inf
+    return len(forms) * steps * coarse.scene.mesh.n_elements * _TWICE_FINER * _EXPLICIT_SECONDS
 
 
 def _trial(family: Family, member: Member, form: Form, t_end: float, steps: int) -> Trial | None:

@@ -123,6 +123,10 @@ class Line:
         _, member, steps = min(found, key=lambda c: c[0])
         return member, self.window / (steps if self.steps_on is None else self.steps_on(member))
 
+    def least_seconds(self, goal: float) -> float:
+        """Of the cheapest run that is expected to meet the goal; infinite where none is, or nothing is known yet."""
+        return min((seconds for seconds, *_ in self._candidates(goal)), default=np.inf)
+
     def _candidates(self, goal: float) -> list[tuple[float, Member, int]]:
         """(expected seconds, mesh, steps) of what is not measured yet and expected to meet the goal."""
         failed = [(member.factor, steps) for member, steps, error, _ in self.known if error > goal]
