@@ -1,6 +1,7 @@
 """Every figure of docs/performance.md in one go: `python benchmarks/all.py --peers PYTHON_OF_PEERS`.
 
-About an hour on two quiet cores. The last script, tables.py, writes the tables into docs/performance.md.
+About three hours on two quiet cores, half of it the peers' refined meshes. The last script, tables.py,
+writes the tables into docs/performance.md.
 """
 
 import argparse
@@ -24,6 +25,7 @@ def main() -> int:
         ("limits.py", []),
         ("joints.py", []),
         ("work_precision.py", peers),
+        ("total_error.py", peers),
         ("tables.py", []),
     ):
         print(f"== {script}", flush=True)
