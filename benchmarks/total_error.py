@@ -203,8 +203,9 @@ def report(found: dict) -> str:
                 p = cheapest(points, within)
                 start = [f"`{name}`", f"{100 * within:g} %", program]
                 if p is None:
-                    tried = min((q["error"] for q in points if q["error"] is not None), default=np.nan)
-                    rows.append([*start, f"not reached, {100 * tried:.1f} % at best", "", "", "", "", ""])
+                    tried = min((q["error"] for q in points if q["error"] is not None), default=None)
+                    least = "no run succeeds" if tried is None else f"{100 * tried:.1f} % at best"
+                    rows.append([*start, f"not reached: {least}", "", "", "", "", ""])
                     continue
                 mesh = "×".join(map(str, np.atleast_1d(p["mesh"])))
                 times = "" if best is None else f"{p['seconds'] / best['seconds']:.1f}"
