@@ -107,7 +107,9 @@ def test_tangent_is_the_derivative_of_the_balance(name):
     @eqx.filter_jit
     def compute(model, state, free, tangent):
         solvers = Solvers(js.Newton(), Linear(solver, handle), tangent)
-        _, _, problem = _problem(method, model, state, jnp.array(0.05), solvers)
+        dt = jnp.array(0.05)
+        held = model.held_increment(state.time, dt, method.size_of_turn)
+        problem = _problem(method, model, state, method.begin(model, state, dt), held, solvers)
         return jax.jacfwd(lambda free: problem.free(problem.balance(free).residual))(free), problem.matrix(free, free)
 
     n = pattern.size

@@ -88,7 +88,8 @@ def equations():
             found = []
             for tangent in ("closed_form", "autodiff"):
                 solvers = Solvers(Newton(), Linear(solver, handle), tangent)
-                _, _, problem = _problem(method, model, state, 0.05, solvers)
+                held = model.held_increment(state.time, 0.05, method.size_of_turn)
+                problem = _problem(method, model, state, method.begin(model, state, 0.05), held, solvers)
                 found.append(problem.matrix(free, free))
             return jax.jacfwd(lambda free: problem.free(problem.balance(free).residual))(free), *found
 

@@ -40,9 +40,9 @@ def linear() -> Linear:
 
 
 @eqx.filter_jit
-def solve(newton: Newton, load, guess):
+def solve(newton: Newton, load, guess, calm=None):
     equations, solver = problem(lambda u: residual(u, load)), linear()
-    return newton.solve(equations, guess, SIZE, ROTATES, solver, solver.memory(newton))[0]
+    return newton.solve(equations, guess, SIZE, ROTATES, solver, solver.memory(newton), calm)[0]
 
 
 def root(load) -> np.ndarray:
@@ -68,6 +68,22 @@ def test_it_stops_without_a_solve_too_many():
     predicted, norm = (solve(Newton(1e-6, criterion=name, reuse=False), 4.0, GUESS) for name in ("predicted", "norm"))
     np.testing.assert_allclose(predicted.free, exact, atol=1e-6 * SIZE)
     assert int(predicted.iterations) == int(norm.iterations) - 1
+
+
+@pytest.mark.parametrize("reuse", [False, True])
+def test_it_starts_where_less_is_unbalanced(reuse):
+    """The calm start is taken where the guess is far off, or no number, and only if it is nearer to balance."""
+    newton = Newton(reuse=reuse)
+    near, far, farther = jnp.asarray(root(4.0)) + 1e-3, jnp.array([4.0, 0.5]), jnp.array([9.0, 0.5])
+    alone = {name: solve(newton, 4.0, at) for name, at in (("near", near), ("far", far))}
+    for guess, calm, taken in (
+        (far, near, "near"), (jnp.array([jnp.nan, 0.0]), near, "near"), (far, farther, "far"), (near, far, "near"),
+    ):  # fmt: skip
+        found = solve(newton, 4.0, guess, calm)
+        assert int(found.result) == SUCCESSFUL and int(found.iterations) == int(alone[taken].iterations)
+        np.testing.assert_array_equal(found.free, alone[taken].free)
+    # A guess that is about in balance is not compared, though the other one were nearer.
+    assert not np.array_equal(solve(newton, 4.0, near + 0.02, near).free, alone["near"].free)
 
 
 def test_at_the_root_nothing_is_solved():
