@@ -31,8 +31,10 @@ _LEAST = 0.25
 """Fraction of the tolerance that the reference's uncertainty has to leave, or nothing is promised."""
 _KNOWN = 0.25
 """Fraction of the tolerance that the reference is to be known to."""
-_FOR_REFERENCE = 0.7
+_FOR_REFERENCE = 0.8
 """Fraction of the budget that the reference may take."""
+_ROOM = 0.6
+"""Part of the time that is left that a run may be expected to take: it is compiled before."""
 _TRIES = 5
 """Runs of one line at most, once its errors are known on coarse meshes."""
 
@@ -150,16 +152,15 @@ class _Search:
             self.measured(line, member, dt)
         for _ in range(_TRIES):
             limit = np.inf if self.best is None else self.best.point.seconds
+            if _ROOM * self.clock.left() < line.least_seconds(self.goal) < limit:
+                self.said.append(f"{line.label} was not followed to its end: the budget of time was spent")
+                return
             choice = line.choice(self.goal, limit)
             if choice is None:
                 if self.best is None or self.best.configuration.label != line.label:
                     self.said.append(line.why_not(self.goal, limit))
                 return
-            within = line.choice(self.goal, min(limit, self.clock.left()))
-            if within is None:
-                self.said.append(f"{line.label} was not followed to its end: the budget of time was spent")
-                return
-            self.measured(line, *within)
+            self.measured(line, *choice)
 
     def take_trial(self) -> None:
         """The quickest of the reference's own runs that meets the goal."""

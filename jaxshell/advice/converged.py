@@ -27,12 +27,14 @@ from jaxshell.advice.references import Reference, Signals, agreement, extrapolat
 from jaxshell.model.scene import Scene
 from jaxshell.model.with_shape import with_shape
 
-_COARSEST = 40
-"""Triangles with which the first mesh begins, if the family goes so far down."""
+_COARSEST, _COARSEST_EXPLICIT = 40, 100
+"""Triangles with which the first mesh begins, if the family goes so far down; and of central differences, which show
+waves that coarser ones cannot carry."""
 _HALVINGS = 4
 """Of the step on the coarsest mesh, before it is taken for what it is."""
-_GROWTH = 1.2
-"""Time of a step grows with the number of elements to this power, at most: what a finer mesh is expected to cost."""
+_GROWTH, _GROWTH_EXPLICIT = 1.2, 1.1
+"""Time of a step grows with the number of elements to this power, at most: what a finer mesh is expected to cost. Of
+central differences it is that of a run."""
 _FIRST = 0.25
 """Steps that the coarsest mesh begins with, over those that the scene asks for there."""
 _SECOND_ORDER, _SLOWEST, _SAFE = 4.0, 1.2, 2 / 3
@@ -43,12 +45,12 @@ _FEWEST = 8
 _LUMPED = "lumped"
 _EXPLICIT_SECONDS = 1e-6
 """Of one element in one step of central differences, about."""
-_TWICE_FINER = 32
-"""Times the coarsest mesh's work is that of the one that is halved twice: 16 times the elements, about twice the steps,
-which bending settles on coarse meshes and membranes on fine ones."""
+_TWICE_FINER = 20
+"""Times the coarsest mesh's work is that of the one that is halved twice: 16 times the elements, and some more steps:
+bending settles them on coarse meshes, whatever the size of elements."""
 _CHEAP, _BEARABLE = 0.5, 4.0
-"""That work of both forms over the time there is: below the one central differences are taken, below the other where
-larger steps do not resolve what happens."""
+"""That work over the time there is: below the one central differences are taken, below the other where larger steps do
+not resolve what happens."""
 
 
 class Form(NamedTuple):
@@ -147,15 +149,17 @@ def converged(
     forms: tuple[Form, ...] = implicit_forms
     coarse = _coarsest(family)
     trials, notes, levels, steps = [], [], [], 0
-    work = _explicit_work(coarse, forms, t_end) / seconds
+    member: Member | None = _coarsest(family, _COARSEST_EXPLICIT)
+    work = _explicit_work(member, forms, t_end) / seconds
     explicit = work <= _CHEAP
     if not explicit:
         steps, trials, resolved = _first_steps(family, coarse, forms[0], dt, t_end, 4.0 * target, say)
         explicit = not resolved and work <= _BEARABLE
     if explicit:
         forms = tuple(Form(form.shape, _LUMPED) for form in forms)
+    else:
+        member = coarse
     found: Reference | None = None
-    member: Member | None = coarse
     while member is not None:
         implicit = max(_FEWEST, round(steps * member.factor / coarse.factor))
         counts = {form: form.steps_on(member, t_end) if form.explicit else implicit for form in forms}
@@ -197,11 +201,11 @@ def converged(
     return Converged(found, trials, family.notes + notes)
 
 
-def _coarsest(family: Family) -> Member:
-    """Where refinement begins: the coarsest mesh that has some elements."""
+def _coarsest(family: Family, elements: int = _COARSEST) -> Member:
+    """Where refinement begins: the coarsest mesh that has so many elements."""
     member = family.at(1.0)
     assert member is not None
-    while (half := family.at(0.5 * member.factor)) is not None and half.scene.mesh.n_elements >= _COARSEST:
+    while (half := family.at(0.5 * member.factor)) is not None and half.scene.mesh.n_elements >= elements:
         member = half
     return member
 
@@ -231,15 +235,15 @@ def _first_steps(
 
 
 def _explicit_work(coarse: Member, forms: tuple[Form, ...], t_end: float) -> float:
-    """Seconds that two shapes of elements take by central differences on a mesh halved twice, about. Infinite where
-    there is one shape only, or the method is not for the scene."""
+    """Seconds of a run by central differences on a mesh halved twice, about. Infinite where there is one shape of
+    elements only, or the method is not for the scene."""
     if len({form.shape for form in forms}) < 2:
         return np.inf
     try:
         steps = Form(forms[0].shape, _LUMPED).steps_on(coarse, t_end)
     except ValueError:
         return np.inf
-    return len(forms) * steps * coarse.scene.mesh.n_elements * _TWICE_FINER * _EXPLICIT_SECONDS
+    return steps * coarse.scene.mesh.n_elements * _TWICE_FINER * _EXPLICIT_SECONDS
 
 
 def _trial(family: Family, member: Member, form: Form, t_end: float, steps: int) -> Trial | None:
@@ -262,8 +266,12 @@ def _is(trial: Trial, form: Form, member: Member, steps: int) -> bool:
 
 def _affordable(level: list[Trial], finer: Member, left: float) -> bool:
     """Whether the next level ends in the time that is left, compilation not counted: of twice the steps."""
-    growth = [(finer.scene.mesh.n_elements / t.member.scene.mesh.n_elements) ** _GROWTH for t in level]
-    return sum(t.seconds * factor for t, factor in zip(level, growth, strict=True)) <= left
+
+    def expected(trial: Trial) -> float:
+        ratio = finer.scene.mesh.n_elements / trial.member.scene.mesh.n_elements
+        return trial.seconds * ratio ** (_GROWTH_EXPLICIT if trial.form.explicit else _GROWTH)
+
+    return sum(map(expected, level)) <= left
 
 
 def _extrapolated(levels: list[list[Trial]]) -> Reference:
