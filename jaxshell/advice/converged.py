@@ -183,7 +183,7 @@ def converged(
                 break
         finer = family.at(2.0 * member.factor) if member.factor < FACTORS[-1] else None
         left = seconds - (time.perf_counter() - begun)
-        if finer is not None and not _affordable(levels[-1], finer, left):
+        if finer is not None and not _affordable(levels[-1], finer, left, after=forms[0].explicit):
             if len(forms) == 1 or not _affordable(levels[-1][:1], finer, left):
                 notes.append(f"{finer.label} would have taken too long: a larger budget, or a shorter trial")
                 break
@@ -264,14 +264,18 @@ def _is(trial: Trial, form: Form, member: Member, steps: int) -> bool:
     return trial.form == form and trial.member is member and trial.steps == steps
 
 
-def _affordable(level: list[Trial], finer: Member, left: float) -> bool:
-    """Whether the next level ends in the time that is left, compilation not counted: of twice the steps."""
+def _affordable(level: list[Trial], finer: Member, left: float, after: bool = False) -> bool:
+    """Whether the next level ends in the time that is left, compilation not counted: of twice the steps.
 
-    def expected(trial: Trial) -> float:
+    Of several forms with the nearer one's level `after` it, which tells more than the other form does.
+    """
+
+    def expected(trial: Trial, halvings: int = 1) -> float:
         ratio = finer.scene.mesh.n_elements / trial.member.scene.mesh.n_elements
-        return trial.seconds * ratio ** (_GROWTH_EXPLICIT if trial.form.explicit else _GROWTH)
+        return trial.seconds * ratio ** (halvings * (_GROWTH_EXPLICIT if trial.form.explicit else _GROWTH))
 
-    return sum(map(expected, level)) <= left
+    later = expected(level[0], 2) if after and len(level) > 1 else 0.0
+    return sum(map(expected, level)) + later <= left
 
 
 def _extrapolated(levels: list[list[Trial]]) -> Reference:
