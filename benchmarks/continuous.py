@@ -33,7 +33,7 @@ from scipy.interpolate import CubicSpline
 jax.config.update("jax_enable_x64", True)
 
 import jaxshell as js  # noqa: E402
-from benchmarks.pages import fill, table  # noqa: E402
+from benchmarks.pages import fill, mesh_name, table  # noqa: E402
 from jaxshell import scenes  # noqa: E402
 from jaxshell.advice import limits, references  # noqa: E402
 from jaxshell.advice.references import Reference, agreement, extrapolate, signal_size  # noqa: E402
@@ -112,7 +112,7 @@ def answer(name: str, levels: int, folder: Path) -> dict:
         rows += [(level, *form, seen) for level, (*_, seen) in enumerate(runs)]
     mine, other = found[forms[1]], found[forms[0]]
     apart = np.maximum(agreement(times, mine[-2], mine[-1]) / 3.0, agreement(times, other[-1], mine[-1]))
-    finest, steps = "×".join(map(str, np.atleast_1d(case.meshes[levels - 1]))), [seen["dt"] for *_, seen in rows]
+    finest, steps = mesh_name(case.meshes[levels - 1]), [seen["dt"] for *_, seen in rows]
     name_of, smooth = type(case.method("flat", "linear")).__name__, " and ".join(f"{a} ({b} inertia)" for a, b in forms)
     origin = (
         f"{name_of} on {levels} meshes to {finest}, dt {max(steps):.3g} to {min(steps):.3g}, {smooth}, extrapolated; "
@@ -170,7 +170,7 @@ def report(found: dict) -> str:
         known = seen["uncertainty"]
         rows.append([f"`{name}`, known to", "", "", "", f"{known['first_swing']:.1e}", f"{known['window']:.1e}"])
         for level in seen["levels"]:
-            mesh = "×".join(map(str, np.atleast_1d(level["mesh"])))
+            mesh = mesh_name(level["mesh"])
             errors = [f"{100 * e:.2f} %" for e in level["errors"]]
             rows.append(["", mesh, f"{level['dt']:.3g}", f"{level['shape']}, {level['inertia']}", *errors])
     return table(["", "mesh", "dt", "discretisation", "first swing", "window"], rows)

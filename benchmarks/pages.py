@@ -17,6 +17,11 @@ def fill(page: Path, tables: dict[str, str]) -> None:
     page.write_text(text, encoding="utf-8")
 
 
+def mesh_name(divisions: int | list | tuple) -> str:
+    """20, or 24×5."""
+    return "×".join(map(str, divisions if isinstance(divisions, list | tuple) else [divisions]))
+
+
 def table(header: list[str], rows: list[list[str]]) -> str:
     """A table in Markdown."""
     lines = ["| " + " | ".join(cells) + " |" for cells in (header, *rows)]

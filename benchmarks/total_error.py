@@ -23,8 +23,7 @@ ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 # One core, before anything starts threads.
 os.environ |= {"MKL_NUM_THREADS": "1", "NPROC": "1", "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"}
-CORES = os.sched_getaffinity(0)
-os.sched_setaffinity(0, sorted(CORES)[-1:])
+os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[-1:])
 
 import jax  # noqa: E402
 import matplotlib  # noqa: E402
@@ -35,7 +34,7 @@ jax.config.update("jax_enable_x64", True)
 
 import jaxshell as js  # noqa: E402
 from benchmarks.cases import write_case  # noqa: E402
-from benchmarks.pages import fill, table  # noqa: E402
+from benchmarks.pages import fill, mesh_name, table  # noqa: E402
 from benchmarks.workers import HERE, Worker, machine  # noqa: E402
 from jaxshell import scenes  # noqa: E402
 from jaxshell.advice import references  # noqa: E402
@@ -172,7 +171,7 @@ def peers(name: str, case: Case, limit: Reference, python: str) -> list[dict]:
 
 
 def tell(p: dict) -> None:
-    mesh = "×".join(map(str, np.atleast_1d(p["mesh"])))
+    mesh = mesh_name(p["mesh"])
     print(
         f"  {p['label']:48} {mesh:>6} dt {p['dt']:<9.3g} {100 * p['error']:6.2f} %  {p['seconds']:8.3f} s", flush=True
     )
@@ -207,7 +206,7 @@ def report(found: dict) -> str:
                     least = "no run succeeds" if tried is None else f"{100 * tried:.1f} % at best"
                     rows.append([*start, f"not reached: {least}", "", "", "", "", ""])
                     continue
-                mesh = "×".join(map(str, np.atleast_1d(p["mesh"])))
+                mesh = mesh_name(p["mesh"])
                 times = "" if best is None else f"{p['seconds'] / best['seconds']:.1f}"
                 label = p["label"] if program == OURS else ""
                 rows.append(

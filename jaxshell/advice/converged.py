@@ -3,13 +3,12 @@
 `EnergyMomentum` on meshes whose elements halve in size, with the step halved along; by two forms of the element that
 have little in common but the limit. Where the critical step is not far below the motion's, or no larger step resolves
 what rings, as after a force on a point that is there at once, both forms are taken by central differences, which
-compile in a third of the time besides. Errors of mesh and step are of
-second order together, so that Richardson's extrapolation of the two finest, which differ by c, takes both out: c/3.
-Runs whose changes fall by the factor ρ have c/(ρ-1) left, and a form's extrapolation is known to the difference of the
-two, with ρ as seen but for some safety: 4 where all is of second order, 2 of first, 1 where noise is left. So what does
-not converge as it should is not thought known. Of two meshes only, it is known to twice what extrapolation moved. The
-answer is the extrapolation of the form that is known best; where it is further from the other's than that one is known
-to, it is not known better than by that.
+compile sooner besides. Errors of mesh and step are of second order together, so that Richardson's extrapolation of the
+two finest, which differ by c, takes both out: c/3. Runs whose changes fall by the factor ρ have c/(ρ-1) left, and a
+form's extrapolation is known to the difference of the two, with ρ as seen but for some safety: 4 where all is of
+second order, 2 of first, 1 where noise is left. So what does not converge as it should is not thought known. Of two
+meshes only, it is known to twice what extrapolation moved. The answer is the extrapolation of the form that is known
+best; where it is further from the other's than that one is known to, it is not known better than by that.
 """
 
 import time

@@ -78,7 +78,7 @@ def _other(scene: Scene, settings: RunSettings) -> tuple[list[str], list[str]]:
 
 
 def _check_adapting(settings: RunSettings, scene: Scene) -> None:
-    if settings.adapt is not None or settings.goal is not None:
+    if settings.adapts:
         check_adapting(settings, scene)
 
 

@@ -67,7 +67,7 @@ def _run(options: argparse.Namespace) -> int:
         stem = f"{stem}_{analysis.replace('-', '_')}"
     stem = stem if options.adapt is None else f"{stem}_adapted"
     met = True
-    if settings.adapt is not None or settings.goal is not None:
+    if settings.adapts:
         try:
             scene, met = adapted(options, settings, scene, stem)
         except KeyboardInterrupt as stopped:

@@ -157,7 +157,7 @@ class _Cases:
         scene, settings = scene_of(self.content, options.scene)
         self.name = scene.name
         settings = settled(options, settings, scene)
-        if settings.adapt is not None or settings.goal is not None:
+        if settings.adapts:
             raise ValueError("A sweep runs all members on one mesh: leave adapt and goal out, or adapt each by itself.")
         self.controlled, self.save_every = settings.step_tolerance is not None, settings.save_every
         # The modes of an imperfection are each member's own.

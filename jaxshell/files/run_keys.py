@@ -176,6 +176,11 @@ class RunSettings:
         "numbers", "times of the shapes that are drawn, or load factors", metavar="T", of=_STEPPED
     )
 
+    @property
+    def adapts(self) -> bool:
+        """Whether the mesh is to be adapted before the run; a goal alone asks for it without a tolerance."""
+        return self.adapt is not None or self.goal is not None
+
     @classmethod
     def checked(cls, values: Mapping[str, Any]) -> "RunSettings":
         """Of values by key, None included. Raises ValueError naming the key whose value is of another kind."""

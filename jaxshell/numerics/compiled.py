@@ -19,28 +19,28 @@ _LITTLE = 50_000
 """Numbers in all arguments below which compiling takes longer than what is to be done once, either way."""
 
 
-def compiled(function: Callable) -> Callable:
-    """`eqx.filter_jit`; where the call is part of a program of the user's, that program's options hold."""
-    return _compiled(function, lambda leaves: OPTIONS)
+def compiled(function: Callable, little: int = 0) -> Callable:
+    """`eqx.filter_jit`; where the call is part of a program of the user's, that program's options hold.
 
+    Calls whose arguments have fewer than `little` numbers are compiled as what runs `ONCE`.
+    """
 
-def compiled_once(function: Callable) -> Callable:
-    """`compiled` for what is run once for a scene or a frame: on small ones not worth the optimiser's time."""
-    return _compiled(function, lambda leaves: ONCE if sum(map(np.size, leaves)) < _LITTLE else OPTIONS)
-
-
-def _compiled(function: Callable, choose: Callable) -> Callable:
     # Equinox hands what it does not know to jax.jit, which its signature for type checkers leaves out.
-    def with_options(options):
+    def alone(options):
         return eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
 
-    quick, small, within = with_options(OPTIONS), with_options(ONCE), eqx.filter_jit(function)
+    quick, small, within = alone(OPTIONS), alone(ONCE), eqx.filter_jit(function)
 
     @functools.wraps(function)
     def call(*arguments):
         leaves = jax.tree.leaves(arguments)
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             return within(*arguments)
-        return (quick if choose(leaves) is OPTIONS else small)(*arguments)
+        return (small if little and sum(map(np.size, leaves)) < little else quick)(*arguments)
 
     return call
+
+
+def compiled_once(function: Callable) -> Callable:
+    """`compiled` for what is run once for a scene or a frame: on small ones not worth the optimiser's time."""
+    return compiled(function, _LITTLE)

@@ -24,6 +24,7 @@ from jaxshell.solvers.iteration import (
     Problem,
     Solved,
     Start,
+    after_residual,
 )
 
 _CONTRACTS = 0.25
@@ -128,12 +129,7 @@ def iterate(newton, problem: Problem, start: Start, measure: Measure, linear: Li
         broken = ~jnp.isfinite(error)
         stop = c._replace(done=jnp.array(True), result=jnp.where(broken, DIVERGED, c.result))
         stop = _where(broken & ~c.full, _begun_anew(first, c), stop)
-        if c.start.calm is None:
-            return lax.cond(settled | broken, lambda: stop, lambda: advance(c, r, work))
-        chosen, free, looks = c.start.chosen(c.free, r, error, measure.rotates)
-        which = jnp.where(looks, 0, jnp.where(settled | broken, 1, 2))
-        at = c._replace(free=free, start=chosen)
-        return lax.switch(which, (lambda: at, lambda: stop, lambda: advance(c._replace(start=chosen), r, work)))
+        return after_residual(c, r, error, measure, settled | broken, stop, lambda c: advance(c, r, work))
 
     limit = 2 * newton.max_iterations
     end = lax.while_loop(lambda c: ~c.done & (c.iterations < limit), body, first)

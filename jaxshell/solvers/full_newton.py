@@ -19,6 +19,7 @@ from jaxshell.solvers.iteration import (
     Problem,
     Solved,
     Start,
+    after_residual,
     energy_closes,
 )
 
@@ -83,12 +84,7 @@ def iterate(newton, problem: Problem, start: Start, measure: Measure, linear: Li
             settled |= near & energy_closes(r @ c.free, work, newton.tolerance)
         broken = ~jnp.isfinite(error)
         stop = c._replace(done=jnp.array(True), result=jnp.where(broken, DIVERGED, c.result))
-        if c.start.calm is None:
-            return lax.cond(settled | broken, lambda: stop, lambda: advance(c, r, error, work))
-        chosen, free, looks = c.start.chosen(c.free, r, error, measure.rotates)
-        which = jnp.where(looks, 0, jnp.where(settled | broken, 1, 2))
-        at = c._replace(free=free, start=chosen)
-        return lax.switch(which, (lambda: at, lambda: stop, lambda: advance(c._replace(start=chosen), r, error, work)))
+        return after_residual(c, r, error, measure, settled | broken, stop, lambda c: advance(c, r, error, work))
 
     zero = jnp.zeros((), jnp.int32)
     first = _Carry(

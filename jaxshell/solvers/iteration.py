@@ -276,3 +276,16 @@ class Measure(NamedTuple):
         force = jnp.where(balance.force > 0, balance.force, 1.0)
         moment = jnp.where(balance.moment > 0, balance.moment, 1.0)
         return r, jnp.max(jnp.abs(r) / jnp.where(self.rotates, moment, force)), balance.work
+
+
+def after_residual(c, r, error, measure: Measure, ends, stop, advance: Callable):
+    """An iteration's carry `c`, with its iterate `free` and its `start`, after the residual r of the size `error`.
+
+    It looks at the other start, ends as `stop`, or is what `advance` makes of it.
+    """
+    if c.start.calm is None:
+        return jax.lax.cond(ends, lambda: stop, lambda: advance(c))
+    start, free, looks = c.start.chosen(c.free, r, error, measure.rotates)
+    which = jnp.where(looks, 0, jnp.where(ends, 1, 2))
+    looking = c._replace(free=free, start=start)
+    return jax.lax.switch(which, (lambda: looking, lambda: stop, lambda: advance(c._replace(start=start))))
