@@ -111,7 +111,7 @@ def resumed(model, plan: Plan, carry: Carry, record: Record, frame: Frame, resta
     if restart is None:
         return carry, record, frame, 0.0
     carry = carry._replace(state=restored(restart.state, carry.state))
-    record, frame = program.first(model, plan, carry.state)
+    record, frame = program.first_again(model, plan, carry.state)
     if plan.reactions and restart.reaction is not None:
         record = record._replace(reaction=jnp.asarray(restart.reaction[-1]))
     record = record._replace(watched=_as_read(plan, record.watched, restart))

@@ -81,6 +81,10 @@ def first(model: Model, plan: Plan, state):
     return record(model, plan, state, state, reaction, zero, zero, jnp.array(True)), frame(model, state)
 
 
+first_again = compiled(first.__wrapped__)
+"""`first` as a run records its steps, to the last digit: for a run that goes on."""
+
+
 def empty(shapes):
     """Zeros for a record or a frame of a step that was not taken."""
     return jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
