@@ -9,9 +9,14 @@ import jax
 import jax.core
 import numpy as np
 
-OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 11) else {}
-"""XLA's older code generator: on CPUs it takes half the time to compile these programs, and they run no slower
-(`python benchmarks/compile_time.py`). Given to the versions of JAX that it was tried with only."""
+OPTIONS: dict[str, Any] = (
+    {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}
+    if (0, 10) <= jax.__version_info__ < (0, 11)
+    else {}
+)
+"""XLA's older code generator: on CPUs it takes half the time to compile these programs, and they run no slower; and its
+own loops for sums, instead of calls of a library that cost more than sums over some thousand elements
+(`python benchmarks/compile_time.py`). Given to the versions of JAX that they were tried with only."""
 ONCE: dict[str, Any] = OPTIONS and OPTIONS | {"xla_backend_optimization_level": 0}
 """For what is run once: machine code without optimisation, made in about half the time and several times slower (the
 same command)."""

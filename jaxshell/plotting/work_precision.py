@@ -9,6 +9,9 @@ from matplotlib.figure import Figure
 
 from jaxshell.plotting.style import COLOURS, DASHES, STYLE, WIDTH, plain
 
+_BESIDE = 0.4
+"""Difference of logarithms within which two points share the number of their triangles."""
+
 
 def pareto(points: Iterable) -> list:
     """Those that no other beats in both error and time, by time."""
@@ -101,12 +104,13 @@ def _draw_with_total(title: str, points: Sequence, floor: float, whole_floor: fl
         above, below = halves
         axes = above.subplots()
         _front(axes, total)
+        told: list[tuple[int, float, float]] = []
         for k, label in enumerate(dict.fromkeys(p.label for p in total)):
             own = [p for p in total if p.label == label]
             for number, elements in enumerate(sorted({p.elements for p in own})):
                 on = [p for p in own if p.elements == elements]
                 _line(axes, on, COLOURS[k % 7], DASHES[k % 7], "os^DvPX<"[k % 8], "" if number else label)
-                _annotate(axes, on, elements)
+                _annotate(axes, on, elements, told)
         _finish(axes, whole_floor, "Total error: mesh and step together; numbers of triangles")
         axes.set_ylabel("Largest error of the continuous answer")
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=7.5, handlelength=2.6)
@@ -117,11 +121,15 @@ def _draw_with_total(title: str, points: Sequence, floor: float, whole_floor: fl
     return figure
 
 
-def _annotate(axes, points: Sequence, elements: int) -> None:
-    """The number of triangles at the end of a line over steps."""
+def _annotate(axes, points: Sequence, elements: int, told: list[tuple[int, float, float]]) -> None:
+    """The number of triangles at the end of a line over steps, where it has not been told beside it already."""
     shown = [p for p in points if np.isfinite(p.error) and p.error > 0]
-    if shown:
-        last = min(shown, key=lambda p: p.dt)
-        axes.annotate(
-            str(elements), (last.seconds, last.error), (5, -2), textcoords="offset points", fontsize=6.5, color="0.3"
-        )
+    if not shown:
+        return
+    last = min(shown, key=lambda p: p.dt)
+    if any(n == elements and max(abs(np.log([s / last.seconds, e / last.error]))) < _BESIDE for n, s, e in told):
+        return
+    told.append((elements, last.seconds, last.error))
+    axes.annotate(
+        str(elements), (last.seconds, last.error), (5, -2), textcoords="offset points", fontsize=6.5, color="0.3"
+    )
