@@ -60,7 +60,7 @@ def gradient(steps=500):
     thickness = jnp.full(cap.mesh.n_elements, 0.4)
     print(f"{cap.mesh.n_elements} thicknesses of the opened cap, {steps} steps")
     for name, method in METHODS.items():
-        both = jax.jit(jax.value_and_grad(deflection(cap, method, 0.01, steps)))
+        both = jax.jit(jax.value_and_grad(deflection(cap, method, 0.01, steps)), compiler_options=js.COMPILER_OPTIONS)
 
         def plain(reuse, method=method):
             newton = js.Newton(reuse=reuse)
@@ -94,7 +94,8 @@ def memory(steps=400):
         print(f"opened cap of {cap.mesh.n_elements} elements, {steps} steps, EMC")
         for name, strategy in strategies.items():
             value = deflection(cap, METHODS["EMC"], 0.01, steps, strategy)
-            both = jax.jit(jax.value_and_grad(value)).lower(thickness).compile()
+            both = jax.jit(jax.value_and_grad(value), compiler_options=js.COMPILER_OPTIONS)
+            both = both.lower(thickness).compile()
             [(_, wall, cpu)] = best(functools.partial(both, thickness), repeat=2)
             megabytes = both.memory_analysis().temp_size_in_bytes / 1e6
             print(f"  {name:24s} {wall:6.2f} s ({cpu:.2f})   {megabytes:7.1f} MB", flush=True)

@@ -32,7 +32,7 @@ import jaxshell as js  # noqa: E402
 from jaxshell.assembly.discretised import Model  # noqa: E402
 from jaxshell.assembly.structure import structure_of  # noqa: E402
 from jaxshell.assembly.tables import analyse  # noqa: E402
-from jaxshell.numerics.compiled import OPTIONS  # noqa: E402
+from jaxshell.numerics.compiled import COMPILER_OPTIONS  # noqa: E402
 from jaxshell.solvers.linear_solver import default_solver  # noqa: E402
 
 PAGE = Path(__file__).parent.parent / "docs" / "performance.md"
@@ -53,7 +53,7 @@ def best(function, *arguments, rounds=60):
 
 def part(function, *arguments):
     """(result, seconds, flops by XLA's count) of one compiled part, done many times within one program as in a run."""
-    once = jax.jit(function).lower(*arguments).compile(compiler_options=OPTIONS)
+    once = jax.jit(function).lower(*arguments).compile(compiler_options=COMPILER_OPTIONS)
     result = once(*arguments)
 
     def repeated(result, arguments):
@@ -64,7 +64,7 @@ def part(function, *arguments):
 
         return jax.lax.fori_loop(0, REPEATS, again, result)
 
-    compiled = jax.jit(repeated).lower(result, arguments).compile(compiler_options=OPTIONS)
+    compiled = jax.jit(repeated).lower(result, arguments).compile(compiler_options=COMPILER_OPTIONS)
     _, seconds = best(compiled, result, arguments)
     return result, seconds / REPEATS, (once.cost_analysis() or {}).get("flops", float("nan"))
 

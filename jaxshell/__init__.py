@@ -75,6 +75,7 @@ if TYPE_CHECKING:
     from jaxshell.model.supports import Support, clamped, pinned, symmetry
     from jaxshell.model.surface import CylindricalSurface, FlatSurface, SphericalSurface, TwistedSurface
     from jaxshell.model.with_shape import with_shape
+    from jaxshell.numerics.compiled import COMPILER_OPTIONS
     from jaxshell.numerics.plane_stress import principal, von_mises
     from jaxshell.results.export.vtkhdf import VTKHDFWriter
     from jaxshell.results.failure import Strengths, failure_index, failure_index_of, ks
@@ -101,6 +102,7 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "COMPILER_OPTIONS",
     "HHT",
     "KLU",
     "RESULTS",
@@ -298,6 +300,7 @@ _HOMES = {
     "analyses.settle": ["settle"],
     "analyses.simulation": ["simulate"],
     "results.sweep": ["Sweep"],
+    "numerics.compiled": ["COMPILER_OPTIONS"],
     "results.solution": ["RESULTS", "Energy", "Momentum", "Solution"],
     "analyses.statics": ["reactions", "solve_static"],
     "analyses.step_control": ["StepControl"],

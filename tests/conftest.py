@@ -7,7 +7,7 @@ import jax
 import jaxtyping
 import pytest
 
-from jaxshell.numerics.compiled import OPTIONS
+from jaxshell.numerics.compiled import COMPILER_OPTIONS
 
 jax.config.update("jax_enable_x64", True)
 
@@ -28,7 +28,7 @@ def _set(name, value) -> None:
 def pytest_configure(config):
     """Most of the tests' time is compiling: their own programs are compiled as jaxshell's are, and all in one piece
     each, as every core has tests of its own. Garbage is looked for less often: a trace keeps all that it makes."""
-    options = {**OPTIONS, "xla_backend_optimization_level": 1, "xla_cpu_parallel_codegen_split_count": 1}
+    options = {**COMPILER_OPTIONS, "xla_backend_optimization_level": 1, "xla_cpu_parallel_codegen_split_count": 1}
     flags = " ".join(f"--{name}={str(value).lower()}" for name, value in options.items())
     os.environ["XLA_FLAGS"] = f"{flags} {os.environ.get('XLA_FLAGS', '')}"
     for name, value in _SETTINGS.items():

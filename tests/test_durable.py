@@ -185,7 +185,7 @@ def test_frames_of_a_replaced_file_are_not_mixed_up(solution, tmp_path):
         first.frame(0)
 
 
-@pytest.mark.parametrize("flips", [60, pytest.param(500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("flips", [60, pytest.param(500, marks=pytest.mark.evidence)])
 def test_flipped_bytes_are_seen(flips, solution, tmp_path):
     """No flipped byte changes what is read: it is an error, or a byte that nothing depends on."""
     path, random = tmp_path / "a.h5", np.random.default_rng(0)

@@ -322,7 +322,7 @@ def warm_strip(p: dict, dynamic: bool) -> js.Scene:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dynamic", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["static", "dynamic"])
+@pytest.mark.parametrize("dynamic", [pytest.param(False, marks=pytest.mark.evidence), True], ids=["static", "dynamic"])
 def test_gradients(dynamic):
     """Adjoint against forward mode to 1e-10 and differences to 1e-6."""
 

@@ -52,7 +52,7 @@ def test_opened_cap_through_buckling():
     assert apart < 0.01
 
 
-@pytest.mark.parametrize("name", ["EDMC1", "EDMC2"])
+@pytest.mark.parametrize("name", [pytest.param("EDMC1", marks=pytest.mark.evidence), "EDMC2"])
 def test_opened_cap_with_dissipation(name):
     """The same until the snap; after it EDMC has less energy than EMC would keep."""
     scene = js.scenes.opened_cap()

@@ -67,7 +67,10 @@ def test_slit_annular_plate():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("divisions", "reference"),
-    [(16, {0.5: -132.653, 1.0: -171.505}), (24, {0.3: -66.410, 0.5: -132.653, 1.0: -171.505})],
+    [
+        (16, {0.5: -132.653, 1.0: -171.505}),
+        pytest.param(24, {0.3: -66.410, 0.5: -132.653, 1.0: -171.505}, marks=pytest.mark.evidence),
+    ],
 )
 def test_pinched_semi_cylinder(divisions, reference):
     """Sze, Liu & Lo 2004, table 7. At a tenth of the load the curve is steep and the mesh still 3 % stiff."""

@@ -227,7 +227,7 @@ THIN = [
         pytest.param(12.7, THICK, (8, 8), marks=pytest.mark.slow),
         pytest.param(6.35, THIN, (8, 8), marks=pytest.mark.slow),
         pytest.param(12.7, THICK, (24, 24), marks=pytest.mark.evidence),
-        pytest.param(6.35, THIN, (24, 24), marks=pytest.mark.slow),
+        pytest.param(6.35, THIN, (24, 24), marks=pytest.mark.evidence),
     ],
 )
 def test_roof_through_its_limit_points(thickness, reference, divisions):

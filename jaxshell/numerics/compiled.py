@@ -9,15 +9,19 @@ import jax
 import jax.core
 import numpy as np
 
-OPTIONS: dict[str, Any] = (
+COMPILER_OPTIONS: dict[str, Any] = (
     {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}
     if (0, 10) <= jax.__version_info__ < (0, 11)
     else {}
 )
-"""XLA's older code generator: on CPUs it takes half the time to compile these programs, and they run no slower; and its
-own loops for sums, instead of calls of a library that cost more than sums over some thousand elements
-(`python benchmarks/compile_time.py`). Given to the versions of JAX that they were tried with only."""
-ONCE: dict[str, Any] = OPTIONS and OPTIONS | {"xla_backend_optimization_level": 0}
+"""Options for XLA with which jaxshell compiles runs, for programs of your own that contain runs:
+`jax.jit(f, compiler_options=jaxshell.COMPILER_OPTIONS)`.
+
+XLA's older code generator: on CPUs it takes half the time to compile these programs, and they run no slower
+(`python benchmarks/compile_time.py`). And its own loops for sums, instead of calls of a library that cost more than
+sums over some thousand elements. Empty but for the versions of JAX that they were tried with, 0.10.
+"""
+ONCE: dict[str, Any] = COMPILER_OPTIONS and COMPILER_OPTIONS | {"xla_backend_optimization_level": 0}
 """For what is run once: machine code without optimisation, made in about half the time and several times slower (the
 same command)."""
 _LITTLE = 50_000
@@ -34,7 +38,7 @@ def compiled(function: Callable, little: int = 0) -> Callable:
     def alone(options):
         return eqx.filter_jit(function, compiler_options=options)  # pyright: ignore[reportCallIssue]
 
-    quick, small, within = alone(OPTIONS), alone(ONCE), eqx.filter_jit(function)
+    quick, small, within = alone(COMPILER_OPTIONS), alone(ONCE), eqx.filter_jit(function)
 
     @functools.wraps(function)
     def call(*arguments):

@@ -30,8 +30,8 @@ from jaxshell.solvers.iteration import (
 _CONTRACTS = 0.25
 """A kept factorization is used again while corrections shrink at least by this factor ..."""
 _AFFORDABLE, _UNKNOWNS, _GROWTH = 6, 4000, 0.2
-"""... and no more than so many are expected to follow: about what a factorization costs of so many unknowns or fewer. On
-larger meshes it costs more corrections: by the power with which it grows faster than they do."""
+"""... and no more than so many are expected to follow: about what a factorization costs of so many unknowns or fewer.
+On larger meshes it costs more corrections: by the power with which it grows faster than they do."""
 _USELESS, _FORGETS = 0.5, 0.8
 """A step starts with its own factorization if the last step's left more than this of the error; to be tried again
 later, what is remembered of it fades by this factor a step."""
@@ -40,8 +40,8 @@ _FEW = 4
 _PATIENCE = 2
 """Corrections of a step beyond those after which every further one factors."""
 _MARGIN = 1e-1
-"""With kept factorizations corrections shrink linearly, and what remains is about as large as what was predicted: a tenth
-of the tolerance."""
+"""With kept factorizations corrections shrink linearly, and what remains is about as large as what was predicted: less
+than a tenth of the tolerance."""
 _NOISE = 1e-10
 """Corrections below this that shrink no more, their factorization being their own, are round-off."""
 
