@@ -23,6 +23,7 @@ def main() -> int:
         ("cold_start.py", []),
         ("scaling.py", []),
         ("limits.py", []),
+        ("way_back.py", []),
         ("joints.py", []),
         ("work_precision.py", peers),
         ("total_error.py", peers),

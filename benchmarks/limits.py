@@ -90,7 +90,7 @@ def measure(scene, method, rate):
     model = Model.build(scene, tables)
     state, dt, m = method.start(model, scene, 0.0), scene.defaults.dt, scene.mesh.n_elements
     begun = method.begin(model, state, dt)
-    data, step, _ = begun
+    data, step = begun.data, begun.step
     size = np.array([1e-4 * float(model.size)] * 3 + [1e-3] * 3)
     u = jnp.asarray(np.random.default_rng(0).normal(size=(scene.mesh.n_nodes, 6)) * size)
     corners = model.gather(method.motion(state, u)), model.gather(u)

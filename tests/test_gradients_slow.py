@@ -177,7 +177,7 @@ def test_checkpoints_change_nothing(kept):
     assert solves == (2 if kept.keep_increments else 3)
 
 
-@pytest.mark.parametrize("reuse", [False, True])
+@pytest.mark.parametrize("reuse", [pytest.param(False, marks=pytest.mark.evidence), True])
 def test_a_batch_converges_like_single_runs(reuse):
     zero, newton = parameters(), js.Newton(tolerance=1e-13, reuse=reuse)
 

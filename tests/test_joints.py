@@ -78,7 +78,7 @@ def test_all_kinds_together_hold_do_no_work_and_keep_momenta():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("factor", [1, 4])
+@pytest.mark.parametrize("factor", [pytest.param(1, marks=pytest.mark.evidence), 4])
 def test_over_ten_thousand_steps(factor):
     solution = js.simulate(
         jointed(), js.EnergyMomentum(), dt=factor * 2e-5, t_end=factor * 0.2, save_every=100,
@@ -91,7 +91,9 @@ def test_over_ten_thousand_steps(factor):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "method", [js.GeneralizedEnergyMomentum(), js.GeneralizedAlpha(0.8)], ids=["emc", "generalised alpha"]
+    "method",
+    [js.GeneralizedEnergyMomentum(), pytest.param(js.GeneralizedAlpha(0.8), marks=pytest.mark.evidence)],
+    ids=["emc", "generalised alpha"],
 )
 def test_other_methods_hold_them_and_agree_with_second_order(method):
     fine = js.simulate(jointed(), js.EnergyMomentum(), dt=2.5e-7, t_end=4e-4, save_every=1600).displacements[-1]

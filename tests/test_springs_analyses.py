@@ -184,7 +184,11 @@ def test_gradients_by_all_their_numbers_are_exact():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", [js.GeneralizedEnergyMomentum(), js.Newmark()], ids=["emc", "newmark"])
+@pytest.mark.parametrize(
+    "method",
+    [js.GeneralizedEnergyMomentum(), pytest.param(js.Newmark(), marks=pytest.mark.evidence)],
+    ids=["emc", "newmark"],
+)
 def test_other_methods_keep_the_balance_to_second_order(method):
     coarse = fly(flying(), method, steps=20)
     fine = js.simulate(flying(), method, dt=DT / 2, t_end=20 * DT, save_every=40)

@@ -32,6 +32,7 @@ def test_newmark_fails_on_the_violent_plate_where_others_survive(tmp_path, monke
     assert (tmp_path / "stability_map.png").exists() and "stagnated" in (tmp_path / "stability_map.md").read_text()
 
 
+@pytest.mark.evidence
 def test_explicit_and_newmark_agree_as_the_mesh_is_refined():
     """Lumped and consistent mass are different on a mesh; their difference vanishes with h²."""
     differences = []

@@ -36,7 +36,7 @@ def arc(scene, factors):
     return np.sin(12 * curvature) / curvature - 12, (1 - np.cos(12 * curvature)) / curvature
 
 
-@pytest.mark.parametrize("divisions", [(40, 1), pytest.param((40, 2), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("divisions", [(40, 1), pytest.param((40, 2), marks=pytest.mark.evidence)])
 def test_end_moment_rolls_a_full_circle(divisions):
     """In the ten load steps that are asked for, none of them cut."""
     solution = js.solve_static(scenes.cantilever_end_moment(divisions), np.arange(1, 11) / 10)
@@ -52,7 +52,7 @@ def test_end_moment_rolls_a_full_circle(divisions):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("divisions", [(8, 1), pytest.param((40, 1), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("divisions", [(8, 1), pytest.param((40, 1), marks=pytest.mark.evidence)])
 def test_end_shear(divisions):
     """Sze, Liu & Lo 2004, table 1; at 8×1, the mesh that docs/validation.md names, too."""
     solution = js.solve_static(scenes.cantilever_end_shear(divisions), [0.25, 0.5, 0.75, 1.0])

@@ -29,16 +29,15 @@ from jaxshell.solvers.iteration import (
 
 _CONTRACTS = 0.25
 """A kept factorization is used again while corrections shrink at least by this factor ..."""
-_AFFORDABLE, _UNKNOWNS, _GROWTH = 6, 4000, 0.2
-"""... and no more than so many are expected to follow: about what a factorization costs of so many unknowns or fewer.
-On larger meshes it costs more corrections: by the power with which it grows faster than they do."""
+_AFFORDABLE = 6
+"""... and no more than so many are expected to follow: about what a factorization costs on small meshes."""
 _USELESS, _FORGETS = 0.5, 0.8
 """A step starts with its own factorization if the last step's left more than this of the error; to be tried again
 later, what is remembered of it fades by this factor a step."""
 _FEW = 4
 """Full iterations of a step after which the next one tries kept factorizations again."""
-_PATIENCE = 2
-"""Corrections of a step beyond those after which every further one factors."""
+_PATIENCE = 8
+"""Corrections of a step after which every further one factors."""
 _MARGIN = 1e-1
 """With kept factorizations corrections shrink linearly, and what remains is about as large as what was predicted: less
 than a tenth of the tolerance."""
@@ -212,14 +211,8 @@ def _outlook(newton, c: _Carry, found: Correction, fresh) -> _Outlook:
     hard = c.hard | (slow & (c.factorizations > 0))
     full = (c.memory.hard > 0) | hard
     near = expected < _CONTRACTS**2
-    affordable = _affordable(c.free.shape[0])
-    stale = jnp.where(fresh, full & ~near, slow | (to_go > affordable)) | (c.iterations >= affordable + _PATIENCE)
+    stale = jnp.where(fresh, full & ~near, slow | (to_go > _AFFORDABLE)) | (c.iterations >= _PATIENCE)
     return _Outlook(target, predicted, left, contraction, stale | c.full, hard)
-
-
-def _affordable(unknowns: int) -> float:
-    """Corrections for which a kept factorization is used again, rather than to make one."""
-    return _AFFORDABLE * max(1.0, unknowns / _UNKNOWNS) ** _GROWTH
 
 
 def _remembered(end: _Carry, result) -> Memory:
