@@ -1,0 +1,112 @@
+"""What a step costs on the way back, part by part: `python benchmarks/way_back.py`.
+
+One core; every part done many times within one compiled program, as in `limits.py`. Reverse mode solves each step's
+transposed system with the step's own matrix, and takes the derivatives of its balance and of all else that it computes:
+none of it depends on how few factorizations the run needed. Writes the table of docs/gradients.md.
+"""
+
+import time
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import limits  # (beside this script) takes one core before anything is computed
+import numpy as np
+from pages import fill, table
+
+import jaxshell as js
+from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.structure import structure_of
+from jaxshell.assembly.tables import analyse
+from jaxshell.solvers.linear_solver import default_solver
+
+PAGE = Path(__file__).parent.parent / "docs" / "gradients.md"
+STEPS = 100
+
+
+def parts(scene, method) -> dict[str, float]:
+    """Seconds of each part, on the scene's first step."""
+    tables, pattern = analyse(structure_of(scene))
+    solver, dt = default_solver(), scene.defaults.dt
+    handle, model = solver.prepare(pattern), Model.build(scene, tables)
+    state = method.start(model, scene, 0.0)
+    size = np.array([1e-4 * float(model.size)] * 3 + [1e-3] * 3)
+    u = jnp.asarray(np.random.default_rng(0).normal(size=(scene.mesh.n_nodes, 6)) * size)
+
+    def around(model, state, u):
+        begun = method.begin(model, state, dt)
+        state = method.finish(model, state, dt, u, method.motion(state, u), begun)
+        return state, method.observe(model, state)
+
+    def balance(model, state, u):
+        begun = method.begin(model, state, dt)
+        return model.free(method.balance(model, state, begun, u).residual)
+
+    def tangent(model, state, u):
+        return method.tangent(model, state, method.begin(model, state, dt), u, None, "closed_form")
+
+    def back(function):
+        """Its transposed derivative, by what it finds: by thickness, coordinates and loads, state and increments."""
+
+        def transposed(*given):
+            found, pull = eqx.filter_vjp(function, *given)
+            return pull(found)
+
+        return transposed
+
+    values = jax.jit(tangent)(model, state, u)
+    found = {
+        "begin, end and record": limits.part(around, model, state, u),
+        "derivative of the three": limits.part(back(around), model, state, u),
+        "derivative of the balance": limits.part(back(balance), model, state, u),
+        "tangent, assembled": limits.part(tangent, model, state, u),
+        "factorization, substitution": limits.part(solver.factor_and_solve, handle, values, jnp.ones(handle.size)),
+    }
+    return {label: seconds for label, (_, seconds, _) in found.items()}
+
+
+def whole(scene, method) -> tuple[float, float]:
+    """Seconds a step of a plain run, and of value and gradient by every element's thickness."""
+    dt, label = scene.defaults.dt, scene.watch[0][0]
+
+    def value(thickness):
+        varied = eqx.tree_at(lambda s: s.section.thickness, scene, thickness)
+        run = js.simulate(varied, method, dt=dt, t_end=STEPS * dt, save_every=STEPS, throw=False)
+        return run.watched[label][-1]
+
+    both = jax.jit(jax.value_and_grad(value), compiler_options=js.COMPILER_OPTIONS)
+    thickness = jnp.full(scene.mesh.n_elements, scene.section.thickness)
+
+    def plain():
+        return js.simulate(scene, method, dt=dt, t_end=STEPS * dt, save_every=STEPS).watched[label]
+
+    plain(), jax.block_until_ready(both(thickness))
+    times = np.empty((5, 2))
+    for row in times:
+        for k, function in enumerate((plain, lambda: both(thickness))):
+            begun = time.perf_counter()
+            jax.block_until_ready(function())
+            row[k] = (time.perf_counter() - begun) / STEPS
+    return tuple(times.min(axis=0))
+
+
+def main() -> None:
+    scene, rows = js.scenes.opened_cap(), []
+    labels: list[str] = []
+    for name, method in limits.METHODS.items():
+        plain, both = whole(scene, method)
+        found = parts(scene, method)
+        labels = list(found)
+        rows.append([name, *(f"{1e3 * s:.2f}" for s in (plain, both, *found.values())), f"{both / plain:.2f}"])
+        print(rows[-1], flush=True)
+    header = ["method", "plain run", "value and gradient", *labels, "ratio"]
+    text = (
+        f"Opened cap of {scene.mesh.n_elements} elements, {STEPS} steps; ms a step, one core.\n\n{table(header, rows)}"
+    )
+    print(text)
+    fill(PAGE, {"way_back": text})
+
+
+if __name__ == "__main__":
+    main()
