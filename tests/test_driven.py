@@ -1,5 +1,7 @@
 """Driven motion: prescribed rotations, hubs that turn as one, accelerated bases, and the integrals of a record."""
 
+import dataclasses
+
 import jax
 
 jax.config.update("jax_enable_x64", True)
@@ -12,6 +14,10 @@ from test_scene_file import read  # noqa: E402
 import jaxshell as js  # noqa: E402
 from jaxshell.analyses.simulation import check_turns  # noqa: E402
 from jaxshell.analyses.statics import proportional  # noqa: E402
+from jaxshell.assembly.discretised import Model  # noqa: E402
+from jaxshell.assembly.driven import motion_of  # noqa: E402
+from jaxshell.assembly.structure import structure_of  # noqa: E402
+from jaxshell.assembly.tables import analyse  # noqa: E402
 from jaxshell.command.check_scene import described_scene  # noqa: E402
 from jaxshell.model.generators import rectangle  # noqa: E402
 from jaxshell.numerics.rotations import exp  # noqa: E402
@@ -35,6 +41,34 @@ def balance(run) -> float:
     energy = run.energy
     lost = np.asarray(energy.total + energy.dissipated - energy.external_work)
     return float(np.abs(lost - lost[0]).max() / np.asarray(energy.total).max())
+
+
+def test_motions_that_are_alike_are_as_each_alone():
+    """Shifted, accelerated and turned nodes, two of each kind, and one that has no like."""
+    mesh, rise = rectangle(1.0, 1.0, [2, 2]), js.History([0.0, 0.3, 1.0], [0.0, 0.9, -0.5])
+    later = js.History([0.0, 0.5, 1.5], [0.0, 2.0, 1.0])
+    supports = [
+        js.Support([0], "uz", displacement=0.1, history=rise),
+        js.Support([1], "uz", displacement=-0.3, history=later),
+        js.Support([2], ["ux", "uz"], acceleration=2.0, history=rise),
+        js.Support([3], ["ux", "uy"], acceleration=1.5, history=later),
+        turning(0.4, rise, [4, 5]),
+        turning(-0.2, later, [6, 7]),
+        turning(0.7, later, [8]),
+    ]
+    scene = js.Scene(mesh, SECTION, supports)
+    model = Model.build(scene, analyse(structure_of(scene))[0])
+    assert len(model.moving) == 4
+    alone = [dataclasses.replace(model, moving=(motion_of(s, mesh.nodes, None),)) for s in supports]
+    for time in (0.0, 0.2, 0.7):
+        for asked in (
+            lambda m, time: m.held_displacement(time),
+            lambda m, time: m.held_rates(time),
+            lambda m, time: m.held_accelerations(time),
+            lambda m, time: m.held_increment(time, 0.4),
+        ):
+            together, expected = asked(model, time), sum(asked(m, time) for m in alone)
+            np.testing.assert_allclose(together, expected, rtol=1e-14, atol=1e-15)
 
 
 # --- histories -------------------------------------------------------------------------------------------

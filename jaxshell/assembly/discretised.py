@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxshell.assembly.acting import Acting
-from jaxshell.assembly.driven import Motion, Turned, motion_of
+from jaxshell.assembly.driven import Motion, motions_of
 from jaxshell.assembly.elements import build_elements
 from jaxshell.assembly.elimination import Blocks, Elimination
 from jaxshell.assembly.gauges import Watching, watching
@@ -91,7 +91,7 @@ class Model(eqx.Module):
             elements.first_moment,
             levers(elements) if bends_mass else None,
         )
-        moving = tuple(motion_of(support, x0, scene.initial) for support in scene.supports if support.moves)
+        moving = motions_of(scene.supports, x0, scene.initial)
         damping = None if scene.damping is None else scene.damping.per_element(scene.mesh.n_elements)
         unit = membrane_scale(elements, lumps) if tables.multipliers else None
         acting = acting_in(scene, tables, surface, unit)
@@ -293,7 +293,7 @@ class Model(eqx.Module):
         change = self.held_displacement(time + dt) - self.held_displacement(time)
         if not self.turns:
             return change
-        turned = [(motion, motion.turns(time, dt, size)) for motion in self.moving if isinstance(motion, Turned)]
+        turned = [(motion, motion.turns(time, dt, size)) for motion in self.moving if motion.turning]
         return change + self._held(turned)
 
     def held_rates(self, time) -> Float[Array, " nh"]:
@@ -307,7 +307,7 @@ class Model(eqx.Module):
     @property
     def turns(self) -> bool:
         """Whether a support prescribes rotations."""
-        return any(isinstance(motion, Turned) for motion in self.moving)
+        return any(motion.turning for motion in self.moving)
 
     def _held(self, prescribed: Sequence[tuple[Motion, Any]]) -> Float[Array, " nh"]:
         """Values (k, d) of motions at the held degrees of freedom; zero where there are none."""

@@ -10,9 +10,14 @@ its own parameters (`ImplicitMethod.size_of_turn`).
 """
 
 import abc
+import dataclasses
+from collections.abc import Iterable
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxshell.model.history import History, Integrals
@@ -27,6 +32,18 @@ class Motion(eqx.Module):
 
     numbers: eqx.AbstractVar[Frozen]
     """(k, d) numbers 6·node + dof."""
+
+    @property
+    def turning(self) -> bool:
+        """Whether it prescribes rotations."""
+        return False
+
+    def turns(self, time, dt, size) -> Float[Array, "k d"]:
+        """Of what is turning, increments of the rotations in the step from `time`; zero at displacements.
+
+        `size` makes of the angle of a turn that of the method's parameters.
+        """
+        raise NotImplementedError(f"{type(self).__name__} prescribes no rotations")
 
     @abc.abstractmethod
     def displacements(self, time) -> Float[Array, "k d"]:
@@ -89,6 +106,10 @@ class Turned(Motion):
     arms: Float[Array, "k 3"]
     """From the axis' place to the nodes at the start; zero where the nodes turn in their own."""
 
+    @property
+    def turning(self) -> bool:
+        return True
+
     def displacements(self, time):
         turned = exp(self._angle(time) * self.axis) - jnp.eye(3)
         return self._named(self.arms @ turned.T, jnp.zeros(3))
@@ -102,8 +123,7 @@ class Turned(Motion):
         return self._named(jnp.cross(omega, jnp.cross(omega, self._arms(time))), jnp.zeros(3))
 
     def turns(self, time, dt, size) -> Float[Array, "k d"]:
-        """Increments of the rotations in the step from `time`; zero at displacements. `size` makes of the angle of a
-        turn that of its parameters. NaN where the step is half a turn or more: it would go the other way round."""
+        """NaN where the step is half a turn or more: it would go the other way round."""
         angle = self._angle(time + dt) - self._angle(time)
         angle = jnp.where(jnp.abs(angle) < jnp.pi, angle, jnp.nan)
         return self._named(jnp.zeros(3), size(angle) * self.axis)
@@ -121,6 +141,56 @@ class Turned(Motion):
         """Of displacements and rotations, (k, 3) or (3,) each, what the support names."""
         both = [jnp.broadcast_to(part, self.arms.shape) for part in (moved, turned)]
         return jnp.concatenate(both, axis=1)[:, self.columns.array]
+
+
+class Alike(Motion):
+    """Motions of one kind and as many nodes each, computed together: a program does not grow with their number."""
+
+    numbers: Frozen = eqx.field(static=True)
+    """(c k, d) of c motions."""
+    each: Any
+    """A motion whose arrays have a leading axis (c,)."""
+
+    @property
+    def turning(self) -> bool:
+        return self.each.turning
+
+    def displacements(self, time):
+        return self._all(lambda motion: motion.displacements(time))
+
+    def rates(self, time):
+        return self._all(lambda motion: motion.rates(time))
+
+    def accelerations(self, time):
+        return self._all(lambda motion: motion.accelerations(time))
+
+    def turns(self, time, dt, size) -> Float[Array, "k d"]:
+        return self._all(lambda motion: motion.turns(time, dt, size))
+
+    def _all(self, function) -> Float[Array, "k d"]:
+        return jnp.concatenate(jax.vmap(function)(self.each))
+
+
+def motions_of(supports: Iterable[Support], x0: Float[Array, "n 3"], initial: Initial | None) -> tuple[Motion, ...]:
+    """The prescribed motions of the supports that move, those alike together."""
+    kinds: dict[Any, list[tuple[Frozen, Any]]] = {}
+    for support in supports:
+        if support.moves:
+            motion = motion_of(support, x0, initial)
+            # What is alike has no numbers of its own, and arrays of the same shapes.
+            bare = dataclasses.replace(motion, numbers=Frozen(np.zeros_like(motion.numbers.array)))
+            shapes = tuple(jnp.shape(leaf) for leaf in jax.tree.leaves(bare))
+            kinds.setdefault((jax.tree.structure(bare), shapes), []).append((motion.numbers, motion))
+    return tuple(_together(kind) for kind in kinds.values())
+
+
+def _together(kind: list[tuple[Frozen, Any]]) -> Motion:
+    numbers, motions = zip(*kind, strict=True)
+    if len(motions) == 1:
+        return motions[0]
+    bare = [dataclasses.replace(motion, numbers=numbers[0]) for motion in motions]
+    each = jax.tree.map(lambda *leaves: jnp.stack(leaves), *bare)
+    return Alike(Frozen(np.concatenate([own.array for own in numbers])), each)
 
 
 def motion_of(support: Support, x0: Float[Array, "n 3"], initial: Initial | None) -> Motion:
