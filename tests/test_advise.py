@@ -149,8 +149,10 @@ def test_meshes_are_compared_with_the_finest(monkeypatch):
 
 def test_total_errors_are_the_main_picture(tmp_path):
     total = [
-        Point("total", label, dt, elements / dt, dt**2 + 10 / elements, 10, 20, elements)
-        for label in ("exact, curved", "central differences")
+        Point(
+            "total", label, dt, (slow if elements > 50 else 1) * elements / dt, dt**2 + 10 / elements, 10, 20, elements
+        )
+        for label, slow in (("exact, curved", 1), ("central differences", 10))
         for elements in (50, 200)
         for dt in (1.0, 0.5)
     ]
@@ -159,7 +161,8 @@ def test_total_errors_are_the_main_picture(tmp_path):
     assert main.get_title().startswith("Total error") and left.get_title() == "Methods, over the time step"
     labels = main.get_legend_handles_labels()[1]
     assert {"exact, curved", "central differences", "reference's uncertainty"} <= set(labels) and len(labels) == 4
-    assert sorted(text.get_text() for text in main.texts) == ["200", "200", "50", "50"]
+    # Once where two lines meet.
+    assert sorted(text.get_text() for text in main.texts) == ["200", "200", "50"]
     assert "EMC" in left.get_legend_handles_labels()[1] and right.get_xscale() == "log"
     charting.write_points(tmp_path / "points.json", cap(), total, SINE, SINE._replace(uncertainty=2e-3))
     assert '"continuous_uncertainty": 0.002' in (tmp_path / "points.json").read_text()
