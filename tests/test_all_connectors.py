@@ -136,7 +136,7 @@ def test_all_kinds_are_in_the_scene():
 
 @pytest.mark.parametrize(
     ("factor", "steps"),
-    [(4, 1000), *(pytest.param(k, STEPS, marks=pytest.mark.evidence) for k in (1, 4))],
+    [(4, 2000), *(pytest.param(k, STEPS, marks=pytest.mark.evidence) for k in (1, 4))],
 )
 def test_in_free_flight(factor, steps):
     solution = run(factor, steps)
