@@ -84,6 +84,12 @@ def factorization_flops(pattern, values) -> float:
     return 2.0 * float(below @ beside)
 
 
+def increments(model):
+    """Some increments of a step (n, 6)."""
+    size = np.array([1e-4 * float(model.size)] * 3 + [1e-3] * 3)
+    return jnp.asarray(np.random.default_rng(0).normal(size=(model.x0.shape[0], 6)) * size)
+
+
 def measure(scene, method, rate):
     """Cells of one row."""
     tables, pattern = analyse(structure_of(scene))
@@ -91,8 +97,7 @@ def measure(scene, method, rate):
     state, dt, m = method.start(model, scene, 0.0), scene.defaults.dt, scene.mesh.n_elements
     begun = method.begin(model, state, dt)
     data, step = begun.data, begun.step
-    size = np.array([1e-4 * float(model.size)] * 3 + [1e-3] * 3)
-    u = jnp.asarray(np.random.default_rng(0).normal(size=(scene.mesh.n_nodes, 6)) * size)
+    u = increments(model)
     corners = model.gather(method.motion(state, u)), model.gather(u)
 
     def elements(function):

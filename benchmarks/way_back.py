@@ -5,14 +5,14 @@ transposed system with the step's own matrix, and takes the derivatives of its b
 none of it depends on how few factorizations the run needed. Writes the table of docs/gradients.md.
 """
 
-import time
+import functools
 from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import limits  # (beside this script) takes one core before anything is computed
-import numpy as np
+from gradients import best, deflection
 from pages import fill, table
 
 import jaxshell as js
@@ -31,8 +31,7 @@ def parts(scene, method) -> dict[str, float]:
     solver, dt = default_solver(), scene.defaults.dt
     handle, model = solver.prepare(pattern), Model.build(scene, tables)
     state = method.start(model, scene, 0.0)
-    size = np.array([1e-4 * float(model.size)] * 3 + [1e-3] * 3)
-    u = jnp.asarray(np.random.default_rng(0).normal(size=(scene.mesh.n_nodes, 6)) * size)
+    u = limits.increments(model)
 
     def around(model, state, u):
         begun = method.begin(model, state, dt)
@@ -68,27 +67,16 @@ def parts(scene, method) -> dict[str, float]:
 
 def whole(scene, method) -> tuple[float, float]:
     """Seconds a step of a plain run, and of value and gradient by every element's thickness."""
-    dt, label = scene.defaults.dt, scene.watch[0][0]
-
-    def value(thickness):
-        varied = eqx.tree_at(lambda s: s.section.thickness, scene, thickness)
-        run = js.simulate(varied, method, dt=dt, t_end=STEPS * dt, save_every=STEPS, throw=False)
-        return run.watched[label][-1]
-
+    dt = scene.defaults.dt
+    value = deflection(scene, method, dt, STEPS)
     both = jax.jit(jax.value_and_grad(value), compiler_options=js.COMPILER_OPTIONS)
     thickness = jnp.full(scene.mesh.n_elements, scene.section.thickness)
 
     def plain():
-        return js.simulate(scene, method, dt=dt, t_end=STEPS * dt, save_every=STEPS).watched[label]
+        return js.simulate(scene, method, dt=dt, t_end=STEPS * dt, save_every=STEPS)
 
-    plain(), jax.block_until_ready(both(thickness))
-    times = np.empty((5, 2))
-    for row in times:
-        for k, function in enumerate((plain, lambda: both(thickness))):
-            begun = time.perf_counter()
-            jax.block_until_ready(function())
-            row[k] = (time.perf_counter() - begun) / STEPS
-    return tuple(times.min(axis=0))
+    (_, run, _), (_, gradient, _) = best(plain, functools.partial(both, thickness), repeat=5)
+    return run / STEPS, gradient / STEPS
 
 
 def main() -> None:

@@ -50,7 +50,7 @@ def test_snap_reaches_the_far_equilibrium():
     assert float(rest.watched["centre"][-1]) < -20.0
 
 
-@pytest.mark.evidence
+@pytest.mark.slow
 def test_unstable_equilibrium_is_left():
     """A column under 1.5 times its buckling load is pushed off its straight equilibrium."""
     length, thickness, young = 10.0, 0.1, 1e6
@@ -87,7 +87,7 @@ def test_flat_cushion_and_too_few_steps():
     assert len(caught.value.solution.times) == 3
 
 
-@pytest.mark.evidence
+@pytest.mark.slow
 def test_moving_support(tmp_path):
     """A cantilever whose tip is lifted: statics at the full displacement. The result is stored and read."""
     mesh = generators.rectangle(4.0, 1.0, (4, 1))

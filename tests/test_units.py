@@ -94,7 +94,7 @@ def test_buckling():
         assert error(js.linear_buckling(plate(length, mass, push), 2).load_factors, np.asarray(expected)) < 1e-9
 
 
-@pytest.mark.evidence
+@pytest.mark.slow
 def test_arc_length():
     def path(scene):
         run = js.solve_arc_length(scene, steps=4, max_load_factor=1.0)

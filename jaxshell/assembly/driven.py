@@ -149,7 +149,7 @@ class Alike(Motion):
     numbers: Frozen = eqx.field(static=True)
     """(c k, d) of c motions."""
     each: Any
-    """A motion whose arrays have a leading axis (c,)."""
+    """A motion whose arrays have a leading axis (c,), and whose numbers say nothing."""
 
     @property
     def turning(self) -> bool:
@@ -173,24 +173,22 @@ class Alike(Motion):
 
 def motions_of(supports: Iterable[Support], x0: Float[Array, "n 3"], initial: Initial | None) -> tuple[Motion, ...]:
     """The prescribed motions of the supports that move, those alike together."""
-    kinds: dict[Any, list[tuple[Frozen, Any]]] = {}
+    kinds: dict[Any, list[tuple[Motion, Motion]]] = {}
     for support in supports:
         if support.moves:
             motion = motion_of(support, x0, initial)
-            # What is alike has no numbers of its own, and arrays of the same shapes.
+            # Alike is what has, but for its numbers, the same structure and arrays of the same shapes.
             bare = dataclasses.replace(motion, numbers=Frozen(np.zeros_like(motion.numbers.array)))
             shapes = tuple(jnp.shape(leaf) for leaf in jax.tree.leaves(bare))
-            kinds.setdefault((jax.tree.structure(bare), shapes), []).append((motion.numbers, motion))
-    return tuple(_together(kind) for kind in kinds.values())
+            kinds.setdefault((jax.tree.structure(bare), shapes), []).append((motion, bare))
+    return tuple(_together(*zip(*kind, strict=True)) for kind in kinds.values())
 
 
-def _together(kind: list[tuple[Frozen, Any]]) -> Motion:
-    numbers, motions = zip(*kind, strict=True)
+def _together(motions: tuple[Motion, ...], bare: tuple[Motion, ...]) -> Motion:
     if len(motions) == 1:
         return motions[0]
-    bare = [dataclasses.replace(motion, numbers=numbers[0]) for motion in motions]
     each = jax.tree.map(lambda *leaves: jnp.stack(leaves), *bare)
-    return Alike(Frozen(np.concatenate([own.array for own in numbers])), each)
+    return Alike(Frozen(np.concatenate([motion.numbers.array for motion in motions])), each)
 
 
 def motion_of(support: Support, x0: Float[Array, "n 3"], initial: Initial | None) -> Motion:

@@ -11,7 +11,7 @@ import numpy as np
 
 COMPILER_OPTIONS: dict[str, Any] = (
     {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}
-    if (0, 10) <= jax.__version_info__ < (0, 11)
+    if jax.__version_info__ < (0, 11)
     else {}
 )
 """Options for XLA with which jaxshell compiles runs, for programs of your own that contain runs:
