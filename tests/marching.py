@@ -117,7 +117,7 @@ def steps_of(scene, method, dt, tables, handle) -> March:
         return (new, memory), (state_of(new), normals, residual, strength, info.result)
 
     _, (states, normals, residual, strength, result) = jax.lax.scan(
-        step, (first, solvers.linear.memory(NEWTON)), None, length=STEPS
+        step, (first, solvers.linear.memory(NEWTON, first.R.shape[0])), None, length=STEPS
     )
     states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state_of(first), states)
     rate = jnp.zeros(3)

@@ -64,7 +64,7 @@ def states_of(scene, method, dt, tables, handle, own):
         state, info, memory = method.step(model, carry[0], dt, solvers, carry[1])
         return (state, memory), (look(state), method.unbalanced(model, carry[0], state, dt), info.result)
 
-    memory = solvers.linear.memory(NEWTON) if method.uses_matrix else None
+    memory = solvers.linear.memory(NEWTON, first.R.shape[0]) if method.uses_matrix else None
     _, (looks, left, result) = jax.lax.scan(step, (first, memory), None, length=STEPS)
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), look(first), looks), left, result
 

@@ -68,7 +68,8 @@ def prepare(scene: Scene, tables: Tables, plan: Plan):
     """Model, start and its record."""
     model = Model.build(scene, tables, plan.method.bends_mass)
     state = plan.method.start(model, scene, 0.0, plan.solvers)
-    memory = plan.solvers.linear.memory(plan.solvers.newton) if plan.method.uses_matrix else None
+    solvers, nodes = plan.solvers, state.R.shape[0]
+    memory = solvers.linear.memory(solvers.newton, nodes) if plan.method.uses_matrix else None
     zero = jnp.zeros((), jnp.int32)
     return model, Carry(state, memory, zero + SUCCESSFUL), *first(model, plan, state)
 

@@ -7,6 +7,7 @@ converges does not depend on the path of the iterates.
 """
 
 import abc
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -15,6 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.assembly.acting import Acting
 from jaxshell.assembly.discretised import Model
+from jaxshell.assembly.turning import turned
 from jaxshell.gradients import keep
 from jaxshell.methods.method import Method, Solvers, StepInfo
 from jaxshell.methods.predictor import extrapolate
@@ -444,4 +446,6 @@ def _problem(method: ImplicitMethod, model: Model, state, begun: Begun, held, so
         lambda free: method.balance(model, state, begun, method.increments(model, state, free, held)),
         matrix,
         model.free,
+        method.configuration(state)[1],
+        functools.partial(turned, model),
     )

@@ -1,7 +1,11 @@
 """Chord Newton: a factorization serves over iterations and steps while the contraction that it gives is good.
 
-A factorization costs as much as five to twenty corrections with one at hand. Where kept factorizations fail, the
-step is done anew with one in every iteration.
+A factorization costs as much as several corrections with one at hand. It turns with the nodes: what changes the
+tangent of a thin shell most is that its elements turn, and a tangent turned with them, R K Rᵀ with the nodes' rotations
+since it was factored, is that of the turned shell, exactly where it turned as a rigid body. A new one is made when a
+step is expected to cost more than steps have on average since the last, that one's cost included: with a tangent that
+drifts away, this makes the average least. Where kept factorizations fail, the step is done anew with one in every
+iteration.
 """
 
 from typing import NamedTuple
@@ -27,16 +31,20 @@ from jaxshell.solvers.iteration import (
     after_residual,
 )
 
-_CONTRACTS = 0.25
-"""A kept factorization is used again while corrections shrink at least by this factor ..."""
-_AFFORDABLE = 6
-"""... and no more than so many are expected to follow: about what a factorization costs on small meshes."""
-_USELESS, _FORGETS = 0.5, 0.8
-"""A step starts with its own factorization if the last step's left more than this of the error; to be tried again
-later, what is remembered of it fades by this factor a step."""
+_COSTS = 8.0
+"""A factorization, its tangent included, in corrections: from 1000 to 60 000 unknowns 7 to 10."""
+_FEWEST = 4.0
+"""No step is expected to do with fewer corrections."""
+_CONTRACTS = 0.6
+"""A kept factorization is not used again where corrections shrink by less than this factor ..."""
+_FORGETS = 0.8
+"""... and no step starts with one that did so in the last; to be tried again later, what is remembered of it fades by
+this factor a step."""
+_NEAR = 0.06
+"""A step that started far off is near its end where its own factorization contracts like this."""
 _FEW = 4
 """Full iterations of a step after which the next one tries kept factorizations again."""
-_PATIENCE = 8
+_PATIENCE = 14
 """Corrections of a step after which every further one factors."""
 _MARGIN = 1e-2
 """With kept factorizations corrections shrink linearly, and what remains is about as large as what was predicted:
@@ -53,6 +61,8 @@ class _Carry(NamedTuple):
     result: Int[Array, ""]
     iterations: Int[Array, ""]
     factorizations: Int[Array, ""]
+    since: Int[Array, ""]
+    """Corrections since the last of them."""
     correction: Float[Array, ""]
     memory: Memory
     hard: Bool[Array, ""]
@@ -110,6 +120,7 @@ def iterate(newton, problem: Problem, start: Start, measure: Measure, linear: Li
             result=result,
             iterations=c.iterations + 1,
             factorizations=c.factorizations + fresh,
+            since=jnp.where(fresh, 0, c.since + 1),
             correction=jnp.where(bad, jnp.inf, found.measured),
             memory=eqx.tree_at(lambda m: (m.stale, m.contraction), memory, (outlook.stale | bad, outlook.contraction)),
             hard=outlook.hard,
@@ -146,12 +157,23 @@ def _correction(problem: Problem, measure: Measure, linear: Linear, c: _Carry, r
 
     def again():
         kept = c.memory
-        step = linear.solve(kept.factorization, kept.values, -r)
-        return step, kept.factorization, kept.values
+        return _turned_along(problem, linear, kept, -r), kept.factorization, kept.values
 
     step, factorization, values = lax.cond(c.memory.stale, anew, again)
     memory = eqx.tree_at(lambda m: (m.factorization, m.values), c.memory, (factorization, values))
+    if problem.frames is not None:
+        frames = jnp.where(c.memory.stale, problem.frames, c.memory.frames)
+        memory = eqx.tree_at(lambda m: m.frames, memory, frames)
     return measure.correction(step, c.correction), memory
+
+
+def _turned_along(problem: Problem, linear: Linear, kept: Memory, rhs) -> Float[Array, " nf"]:
+    """The kept factorization's solution, as if it had turned with the nodes: R K⁻¹ Rᵀ rhs."""
+    if problem.frames is None or problem.turned is None:
+        return linear.solve(kept.factorization, kept.values, rhs)
+    R = problem.frames @ jnp.swapaxes(kept.frames, 1, 2)
+    back = problem.turned(jnp.swapaxes(R, 1, 2), rhs)
+    return problem.turned(R, linear.solve(kept.factorization, kept.values, back))
 
 
 def _first(start: Start, memory: Memory, full) -> _Carry:
@@ -163,6 +185,7 @@ def _first(start: Start, memory: Memory, full) -> _Carry:
         result=zero,
         iterations=zero,
         factorizations=zero,
+        since=zero,
         correction=jnp.array(jnp.inf),
         memory=memory,
         hard=jnp.array(False),
@@ -177,8 +200,8 @@ def _begun_anew(first: _Carry, c: _Carry) -> _Carry:
     """What kept factorizations spoilt is done again without them, from the same start."""
     yes = jnp.array(True)
     memory = eqx.tree_at(lambda m: m.stale, c.memory, yes)
-    again = first._replace(iterations=c.iterations, factorizations=c.factorizations, memory=memory, hard=yes, full=yes)
-    return again._replace(free=c.start.free, start=c.start)
+    again = first._replace(iterations=c.iterations, factorizations=c.factorizations, since=c.since)
+    return again._replace(memory=memory, hard=yes, full=yes, free=c.start.free, start=c.start)
 
 
 def _where(condition, there: _Carry, here: _Carry) -> _Carry:
@@ -199,8 +222,9 @@ def _outlook(newton, c: _Carry, found: Correction, fresh) -> _Outlook:
     # Energy goes with the stiff directions, which the first correction all but settles: what the second leaves of it
     # shows in the third.
     left = jnp.where(fresh, found.unseen, jnp.where(c.own | (c.iterations < 2), 1.0, linear))
-    earlier = ~fresh & (c.factorizations == 0)
-    contraction = jnp.where(earlier & (c.iterations == 1), q, c.memory.contraction)
+    # How much the first correction left shows in the second, also in one with a fresh factorization.
+    earlier = (c.factorizations == 0) & (c.iterations == 1)
+    contraction = jnp.where(earlier, q, c.memory.contraction)
     contraction = jnp.where(first & fresh, _FORGETS * contraction, contraction)
     # Of further corrections with this factorization.
     expected = jnp.where(first, c.memory.contraction, q)
@@ -210,15 +234,18 @@ def _outlook(newton, c: _Carry, found: Correction, fresh) -> _Outlook:
     # next step too.
     hard = c.hard | (slow & (c.factorizations > 0))
     full = (c.memory.hard > 0) | hard
-    near = expected < _CONTRACTS**2
-    stale = jnp.where(fresh, full & ~near, slow | (to_go > _AFFORDABLE)) | (c.iterations >= _PATIENCE)
+    average = jnp.maximum(c.memory.spent / jnp.maximum(c.memory.steps, 1), _FEWEST)
+    costly = slow | (c.iterations + to_go > average)
+    stale = jnp.where(fresh, full & (expected > _NEAR), costly) | (c.iterations >= _PATIENCE)
     return _Outlook(target, predicted, left, contraction, stale | c.full, hard)
 
 
 def _remembered(end: _Carry, result) -> Memory:
     """What the step leaves to the next."""
-    kept = end.memory
-    useless = (kept.contraction > _USELESS) | (result != SUCCESSFUL)
+    kept, own = end.memory, end.factorizations > 0
+    spent = jnp.where(own, _COSTS + 1 + end.since, kept.spent + end.iterations)
+    kept = eqx.tree_at(lambda m: (m.spent, m.steps), kept, (spent, jnp.where(own, 1, kept.steps + 1)))
+    useless = (kept.contraction > _CONTRACTS) | (result != SUCCESSFUL)
     many = end.full & (end.iterations > _FEW)
     hard = jnp.where(many, 2, end.full | end.hard).astype(jnp.int32)
     return eqx.tree_at(lambda m: (m.stale, m.hard), kept, (kept.stale | useless, hard))

@@ -46,6 +46,10 @@ class Problem(NamedTuple):
     """(free, the iterate before it: zeros, the step's start, at first) → values of the sparse tangent."""
     free: Callable
     """(n, 6) → its free entries."""
+    frames: Float[Array, "n 3 3"] | None = None
+    """Nodal rotations at the step's start. None: a kept factorization does not turn with the nodes."""
+    turned: Callable | None = None
+    """(rotations (n, 3, 3), free vector) → the vector with every node's part turned."""
 
 
 class Linear(NamedTuple):
@@ -122,8 +126,8 @@ class Linear(NamedTuple):
     def _times_units(self, vector):
         return vector if self.units is None else self.units * vector
 
-    def memory(self, newton) -> "Memory":
-        """Memory before the first step of a run with the settings `newton`."""
+    def memory(self, newton, nodes: int = 0) -> "Memory":
+        """Memory before the first step of a run with the settings `newton`, of so many nodes that turn."""
         kept = self.handle.indices.shape if newton.reuse else (0,)
         return Memory(
             factorization=self.solver.initial_factorization(self.handle),
@@ -131,6 +135,9 @@ class Linear(NamedTuple):
             stale=jnp.array(True),
             contraction=jnp.array(_FIRST_GUESS, float),  # not weakly typed: a restart's is not either
             hard=jnp.zeros((), jnp.int32),
+            frames=jnp.zeros((nodes if newton.reuse else 0, 3, 3)),
+            spent=jnp.array(0.0, float),
+            steps=jnp.zeros((), jnp.int32),
         )
 
 
@@ -146,6 +153,12 @@ class Memory(eqx.Module):
     """By which corrections shrank that a factorization of an earlier step gave."""
     hard: Int[Array, ""]
     """Of the last step. 1: its own factorizations contracted slowly; 2: it took many full iterations."""
+    frames: Float[Array, "n 3 3"]
+    """Nodal rotations at the start of the step in which it was factored."""
+    spent: Float[Array, ""]
+    """Corrections since then, with what the factorization cost."""
+    steps: Int[Array, ""]
+    """In so many steps."""
 
 
 class Start(NamedTuple):
