@@ -20,6 +20,7 @@ from jaxshell.assembly.structure import structure_of
 from jaxshell.assembly.tables import analyse
 from jaxshell.elements.corotational import internal_force
 from jaxshell.methods.method import Observation, Solvers
+from jaxshell.methods.turning import turning
 from jaxshell.model import generators
 from jaxshell.model.loads.pressure import pressure_force
 from jaxshell.solvers.iteration import Linear
@@ -117,7 +118,7 @@ def steps_of(scene, method, dt, tables, handle) -> March:
         return (new, memory), (state_of(new), normals, residual, strength, info.result)
 
     _, (states, normals, residual, strength, result) = jax.lax.scan(
-        step, (first, solvers.linear.memory(NEWTON, first.R.shape[0])), None, length=STEPS
+        step, (first, solvers.linear.memory(NEWTON, turning(model, first.R))), None, length=STEPS
     )
     states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), state_of(first), states)
     rate = jnp.zeros(3)

@@ -11,7 +11,8 @@ import pytest
 import jaxshell as js
 from jaxshell.assembly.sparsity import SparsityPattern
 from jaxshell.methods.base import Balance
-from jaxshell.solvers.iteration import DIVERGED, SINGULAR, STAGNATED, SUCCESSFUL, Linear, Problem
+from jaxshell.numerics.rotations import exp
+from jaxshell.solvers.iteration import DIVERGED, SINGULAR, STAGNATED, SUCCESSFUL, Linear, Problem, Turning
 from jaxshell.solvers.linear_solver import Dense
 from jaxshell.solvers.newton import Newton, attach_derivative
 
@@ -123,6 +124,42 @@ def test_a_step_whose_kept_factorization_is_poor_ends_with_its_own():
     found, _ = after(memory, 4.0, GUESS)
     assert int(found.result) == SUCCESSFUL and 0 < int(found.factorizations) <= 4
     np.testing.assert_allclose(found.free, root(4.0), atol=1e-10)
+
+
+@pytest.mark.parametrize("turns", [True, False])
+def test_a_kept_factorization_turns_with_the_nodes(turns):
+    """A stiff node that has turned has the matrix R K Rᵀ: the factorization of K solves with it at once."""
+    pattern = SparsityPattern(6, np.arange(0, 37, 6), np.tile(np.arange(6), 6))
+    solver = Linear(SOLVER, SOLVER.prepare(pattern))
+    K = np.diag([1e4, 1e4, 1.0, 3.0, 3.0, 30.0]) + 0.1
+    load, rotates = jnp.array([3.0, -2.0, 0.5, 0.1, 0.0, 0.2]), jnp.arange(6) >= 3
+
+    def turned(R, free):
+        return jnp.einsum("nij,nkj->nki", R, free.reshape(-1, 2, 3)).reshape(-1)
+
+    def step(R, memory):
+        R = jnp.asarray(R)[None]
+        both = jnp.kron(jnp.eye(2), R[0])
+        matrix = both @ K @ both.T
+        balance = Balance(jnp.zeros(6), jnp.array(10.0), jnp.array(1.0), jnp.array(10.0))
+        turning = Turning(R, turned, jnp.zeros((0, 6))) if turns else None
+        equations = Problem(
+            lambda u: balance._replace(residual=matrix @ u - load),
+            lambda u, _: matrix.reshape(-1),
+            lambda r: r,
+            turning,
+        )
+        memory = solver.memory(Newton(), turning) if memory is None else memory
+        found, memory = Newton().solve(equations, jnp.zeros(6), SIZE, rotates, solver, memory)
+        np.testing.assert_allclose(found.free, np.linalg.solve(matrix, load), atol=1e-9)
+        return found, memory
+
+    _, memory = step(np.eye(3), None)
+    found, memory = step(exp(jnp.array([0.3, -0.2, 0.1])), memory)
+    if turns:
+        assert int(found.factorizations) == 0 and int(found.iterations) <= 2
+    else:
+        assert int(found.factorizations) > 0
 
 
 def test_rotations_of_an_iterate_are_bounded():

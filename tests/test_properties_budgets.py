@@ -26,6 +26,7 @@ from jaxshell.assembly.tables import analyse
 from jaxshell.elements.inertia import Spins
 from jaxshell.methods import seven_point
 from jaxshell.methods.method import Solvers
+from jaxshell.methods.turning import turning
 from jaxshell.numerics.rotations import skew
 from jaxshell.solvers.iteration import Linear
 
@@ -64,7 +65,7 @@ def states_of(scene, method, dt, tables, handle, own):
         state, info, memory = method.step(model, carry[0], dt, solvers, carry[1])
         return (state, memory), (look(state), method.unbalanced(model, carry[0], state, dt), info.result)
 
-    memory = solvers.linear.memory(NEWTON, first.R.shape[0]) if method.uses_matrix else None
+    memory = solvers.linear.memory(NEWTON, turning(model, first.R)) if method.uses_matrix else None
     _, (looks, left, result) = jax.lax.scan(step, (first, memory), None, length=STEPS)
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), look(first), looks), left, result
 

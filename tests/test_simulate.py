@@ -203,3 +203,16 @@ def test_a_far_too_large_step_fails_at_once_and_the_command_says_so(tmp_path, ca
     command = ["run", str(tmp_path / "wild.h5"), "--output", str(tmp_path), "--method", "EMC", "--no-plots"]
     assert main([*command, "--dt", str(dt), "--t-end", str(t_end), "--save-every", "2"]) == 1
     assert solution.message in capsys.readouterr().err
+
+
+def test_a_kept_factorization_serves_while_the_shell_turns():
+    """A spinning plate's tangent turns with it: through more than half a turn one factorization does for many steps."""
+    with jax.numpy_rank_promotion("allow"):
+        scene = js.scenes.spinning_plate(4)
+    dt, steps = scene.defaults.dt, 300
+    solution = js.simulate(scene, js.EnergyMomentum(), dt=dt, t_end=steps * dt, save_every=steps)
+    assert np.linalg.norm([20.0, 60.0]) * steps * dt > np.pi
+    assert solution.stats["factorizations"] < 0.15 * steps
+    energy, momentum = np.asarray(solution.energy.total), np.asarray(solution.momentum.angular)
+    np.testing.assert_allclose(energy, np.full_like(energy, energy[0]), rtol=1e-11)
+    np.testing.assert_allclose(momentum, np.broadcast_to(momentum[0], momentum.shape), atol=1e-10 * abs(momentum).max())

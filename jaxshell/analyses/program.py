@@ -18,6 +18,7 @@ from jaxshell.gradients import Gradients, merge, scan_steps
 from jaxshell.methods.method import Method, Observation, Solvers
 from jaxshell.methods.state import State
 from jaxshell.methods.static import Static, held_reactions
+from jaxshell.methods.turning import turning
 from jaxshell.model.scene import WATCHABLE, Scene
 from jaxshell.numerics.compiled import compiled, compiled_once
 from jaxshell.solvers.iteration import STEP_TOO_SMALL, SUCCESSFUL, Memory
@@ -68,8 +69,8 @@ def prepare(scene: Scene, tables: Tables, plan: Plan):
     """Model, start and its record."""
     model = Model.build(scene, tables, plan.method.bends_mass)
     state = plan.method.start(model, scene, 0.0, plan.solvers)
-    solvers, nodes = plan.solvers, state.R.shape[0]
-    memory = solvers.linear.memory(solvers.newton, nodes) if plan.method.uses_matrix else None
+    solvers = plan.solvers
+    memory = solvers.linear.memory(solvers.newton, turning(model, state.R)) if plan.method.uses_matrix else None
     zero = jnp.zeros((), jnp.int32)
     return model, Carry(state, memory, zero + SUCCESSFUL), *first(model, plan, state)
 

@@ -18,7 +18,6 @@ No equilibrium is called unstable wrongly, since φ shows how the energy falls.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,6 +27,7 @@ from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational
 from jaxshell.methods.method import Solvers
 from jaxshell.methods.static import Static, StaticState
+from jaxshell.methods.turning import turning
 from jaxshell.numerics import rotations
 from jaxshell.solvers.iteration import Memory
 
@@ -119,7 +119,7 @@ def critical(model: Model, solvers: Solvers, before: StaticState, state: StaticS
         values = _STATIC.tangent(model, state, begun, still, None, solvers.tangent)
         _, factorization, values = linear.factor_and_solve(values, jnp.zeros(linear.handle.size))
         if memory is not None:
-            memory = eqx.tree_at(lambda m: (m.factorization, m.values), memory, (factorization, values))
+            memory = linear.keeping(memory, factorization, values, turning(model, state.R))
         spin = jnp.broadcast_to(jnp.eye(3), (nodes, 3, 3))
     else:
         values, factorization = jnp.zeros(linear.handle.indices.shape), memory.factorization

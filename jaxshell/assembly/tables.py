@@ -111,6 +111,8 @@ class Tables(eqx.Module):
     """How many of the held degrees of freedom, the first, are the supports'."""
     multipliers: int = eqx.field(static=True, default=0)
     """How many nodes, the last, are not the mesh's."""
+    adrift: tuple[int, ...] = eqx.field(static=True, default=())
+    """The axes x, y, z (0, 1, 2) along which no support holds the shell."""
     zeros: Int[Array, " q"] | None = None
     """Places of the diagonal entries of the multipliers in the sparse matrix; None where there are none."""
     constrained: Int[Array, " q"] | None = None
@@ -222,7 +224,16 @@ def nodal_tables(structure: Structure) -> Tables:
             nodes=structure.n_nodes - structure.multipliers,
             supported=structure.supported,
             multipliers=structure.multipliers,
+            adrift=_adrift(structure),
         )
+
+
+def _adrift(structure: Structure) -> tuple[int, ...]:
+    if structure.turned is not None:
+        return ()
+    held = structure.held.array
+    of_mesh = held[held < 6 * (structure.n_nodes - structure.multipliers)]
+    return tuple(sorted({0, 1, 2} - set((of_mesh % 6).tolist())))
 
 
 def _dependent(structure: Structure) -> Dependent | None:

@@ -7,7 +7,6 @@ converges does not depend on the path of the iterates.
 """
 
 import abc
-import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -16,10 +15,10 @@ from jaxtyping import Array, Float
 
 from jaxshell.assembly.acting import Acting
 from jaxshell.assembly.discretised import Model
-from jaxshell.assembly.turning import turned
 from jaxshell.gradients import keep
 from jaxshell.methods.method import Method, Solvers, StepInfo
 from jaxshell.methods.predictor import extrapolate
+from jaxshell.methods.turning import turning
 from jaxshell.model.contribution import Constraint, Contribution, Place, Resisting, between
 from jaxshell.numerics.batching import one_by_one
 from jaxshell.numerics.rotations import H_inverse, exp
@@ -446,6 +445,5 @@ def _problem(method: ImplicitMethod, model: Model, state, begun: Begun, held, so
         lambda free: method.balance(model, state, begun, method.increments(model, state, free, held)),
         matrix,
         model.free,
-        method.configuration(state)[1],
-        functools.partial(turned, model),
+        turning(model, method.configuration(state)[1]),
     )

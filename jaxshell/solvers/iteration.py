@@ -46,10 +46,19 @@ class Problem(NamedTuple):
     """(free, the iterate before it: zeros, the step's start, at first) → values of the sparse tangent."""
     free: Callable
     """(n, 6) → its free entries."""
-    frames: Float[Array, "n 3 3"] | None = None
-    """Nodal rotations at the step's start. None: a kept factorization does not turn with the nodes."""
-    turned: Callable | None = None
+    turning: "Turning | None" = None
+    """None: a kept factorization does not turn with the nodes."""
+
+
+class Turning(NamedTuple):
+    """What a kept factorization needs to turn with the nodes."""
+
+    frames: Float[Array, "n 3 3"]
+    """Nodal rotations at the step's start."""
+    turned: Callable
     """(rotations (n, 3, 3), free vector) → the vector with every node's part turned."""
+    translations: Float[Array, "k nf"]
+    """The shell's translations, those that no support holds."""
 
 
 class Linear(NamedTuple):
@@ -92,6 +101,19 @@ class Linear(NamedTuple):
                 x = x + self.solver.solve(self.handle, factorization, values, left)
         return self._times_units(x), factorization, values
 
+    def keeping(self, memory: "Memory", factorization, factored, turning: "Turning | None") -> "Memory":
+        """`memory` with what `factor_and_solve` made in a step that turns like `turning`."""
+        memory = eqx.tree_at(lambda m: (m.factorization, m.values), memory, (factorization, factored))
+        if turning is None:
+            return memory
+        memory, moves = eqx.tree_at(lambda m: m.frames, memory, turning.frames), turning.translations
+        if not moves.size:
+            return memory
+        units = 1.0 if self.units is None else self.units
+        products = factored[:, None] * (moves / units).T[self.handle.rows]
+        sums = jnp.zeros(moves.shape[::-1]).at[self.handle.indices].add(products).T / units
+        return eqx.tree_at(lambda m: (m.sums, m.whole), memory, (sums, jnp.linalg.inv(sums @ moves.T)))
+
     def solve(self, factorization, factored, rhs) -> Float[Array, " nf"]:
         """K⁻¹ rhs, from the factorization and the matrix factored of `factor_and_solve`."""
         return self._times_units(self.solver.solve(self.handle, factorization, factored, self._times_units(rhs)))
@@ -126,16 +148,20 @@ class Linear(NamedTuple):
     def _times_units(self, vector):
         return vector if self.units is None else self.units * vector
 
-    def memory(self, newton, nodes: int = 0) -> "Memory":
-        """Memory before the first step of a run with the settings `newton`, of so many nodes that turn."""
+    def memory(self, newton, turning: "Turning | None" = None) -> "Memory":
+        """Memory before the first step of a run with the settings `newton`, whose steps turn like `turning`."""
         kept = self.handle.indices.shape if newton.reuse else (0,)
+        turns = turning if newton.reuse else None
+        nodes, moves = (0, 0) if turns is None else (turns.frames.shape[0], turns.translations.shape[0])
         return Memory(
             factorization=self.solver.initial_factorization(self.handle),
             values=jnp.zeros(kept),
             stale=jnp.array(True),
             contraction=jnp.array(_FIRST_GUESS, float),  # not weakly typed: a restart's is not either
             hard=jnp.zeros((), jnp.int32),
-            frames=jnp.zeros((nodes if newton.reuse else 0, 3, 3)),
+            frames=jnp.zeros((nodes, 3, 3)),
+            sums=jnp.zeros((moves, self.handle.size)),
+            whole=jnp.zeros((moves, moves)),
             spent=jnp.array(0.0, float),
             steps=jnp.zeros((), jnp.int32),
         )
@@ -155,6 +181,10 @@ class Memory(eqx.Module):
     """Of the last step. 1: its own factorizations contracted slowly; 2: it took many full iterations."""
     frames: Float[Array, "n 3 3"]
     """Nodal rotations at the start of the step in which it was factored."""
+    sums: Float[Array, "k nf"]
+    """tᵀ K for the shell's translations t that no support holds."""
+    whole: Float[Array, "k k"]
+    """(tᵀ K t)⁻¹."""
     spent: Float[Array, ""]
     """Corrections since then, with what the factorization cost."""
     steps: Int[Array, ""]
