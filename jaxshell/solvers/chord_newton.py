@@ -154,8 +154,8 @@ def _correction(problem: Problem, measure: Measure, linear: Linear, c: _Carry, r
     """The correction for the residual r, and the memory with what was factored for it."""
 
     def anew():
-        step, *kept = linear.factor_and_solve(problem.matrix(c.free, c.last), -r)
-        return step, linear.keeping(c.memory, *kept, problem.turning)
+        step, factorization, values = linear.factor_and_solve(problem.matrix(c.free, c.last), -r)
+        return step, linear.keeping(c.memory, factorization, values, problem.turning)
 
     def again():
         return _turned_along(problem, linear, c.memory, -r), c.memory
