@@ -27,6 +27,7 @@ def main() -> int:
         ("joints.py", []),
         ("work_precision.py", peers),
         ("total_error.py", peers),
+        *([("flex.py", peers)] if peers else []),
         ("tables.py", []),
     ):
         print(f"== {script}", flush=True)

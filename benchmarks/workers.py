@@ -18,6 +18,7 @@ SCRIPTS = {
     "jaxshell": HERE / "jaxshell_run.py",
     "kratos": HERE / "peers" / "kratos_run.py",
     "opensees": HERE / "peers" / "opensees_run.py",
+    "mujoco": HERE / "peers" / "mujoco_run.py",
 }
 _THREAD_VARIABLES = ("MKL_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
