@@ -25,16 +25,17 @@ def main(arguments=None) -> int:
     parser.add_argument("--divisions", type=int, nargs="+", default=DIVISIONS)
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="cores")
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--method", default="GeneralizedEnergyMomentum")
     parser.add_argument("--output", type=Path, default=HERE / "results" / "scaling.json")
     options = parser.parse_args(arguments)
-    found = {"machine": machine(), "method": options.method, "steps": STEPS, "results": []}
+    found = {"machine": machine(), "method": options.method, "steps": options.steps, "results": []}
     for threads in options.threads:
         for divisions in options.divisions:
             worker = Worker("jaxshell", threads, elements=2 * divisions**2)
             request = {
-                "scene": "cap", "divisions": divisions, "method": options.method, "dt": 2e-6, "steps": STEPS,
-                "tolerance": 1e-8, "save_every": STEPS,
+                "scene": "cap", "divisions": divisions, "method": options.method, "dt": 2e-6,
+                "steps": options.steps, "tolerance": 1e-8, "save_every": options.steps,
             }  # fmt: skip
             first = worker(**request)
             runs = [worker(**request) for _ in range(options.rounds)]
@@ -44,7 +45,7 @@ def main(arguments=None) -> int:
                 "threads": threads,
                 "unknowns": first["unknowns"],
                 "elements": first["elements"],
-                "ms_per_step": 1e3 * seconds / STEPS,
+                "ms_per_step": 1e3 * seconds / options.steps,
                 "ms_per_iteration": 1e3 * seconds / runs[-1]["iterations"],
                 "us_per_element_and_iteration": 1e6 * seconds / runs[-1]["iterations"] / first["elements"],
                 "first_call_seconds": round(first["seconds"], 2),
