@@ -74,4 +74,6 @@ def run(request: dict) -> dict:
 
 
 if __name__ == "__main__":
+    # A step too large is told by the answer, and not by a file in the folder of the caller.
+    mujoco.set_mju_user_warning(lambda _: None)
     serve(run)
