@@ -169,7 +169,7 @@ def _turned_along(problem: Problem, linear: Linear, kept: Memory, rhs) -> Float[
 
     A shell that nothing holds is then moved as a whole, so that the forces on all of it are in balance: K turned node
     by node no longer has sums of rows that are its mass over Δt², so the linear momentum would converge no faster than
-    all else (2e-10 of it left after 500 steps of a free plate, now 1e-15).
+    all else (2e-10 of it lost in 500 steps of a free plate, so 3e-15).
     """
     if problem.turning is None:
         return linear.solve(kept.factorization, kept.values, rhs)
