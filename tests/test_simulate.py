@@ -96,11 +96,15 @@ def test_restart_goes_on_as_if_nothing_had_happened(whole, scene, caplog):
 
 
 @pytest.mark.slow
-def test_autodiff_and_closed_form_give_the_same_run(whole, scene):
-    autodiff = js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, tangent="autodiff", newton=TIGHT)
-    np.testing.assert_array_equal(autodiff.iterations, whole.iterations)
-    close(autodiff.displacements, whole.displacements, 1e-10)
-    close(autodiff.energy.total, whole.energy.total, 1e-10)
+def test_autodiff_and_closed_form_give_the_same_run(scene):
+    """At the default tolerance: near round-off the number of corrections is chance."""
+    closed_form, autodiff = (
+        js.simulate(scene, EMC, dt=DT, t_end=STEPS * DT, save_every=2, tangent=tangent)
+        for tangent in ("closed_form", "autodiff")
+    )
+    np.testing.assert_array_equal(autodiff.iterations, closed_form.iterations)
+    close(autodiff.displacements, closed_form.displacements, 1e-10)
+    close(autodiff.energy.total, closed_form.energy.total, 1e-10)
 
 
 @pytest.mark.parametrize("solver", [pytest.param(js.Dense(), marks=pytest.mark.slow), js.KLU()], ids=["dense", "klu"])

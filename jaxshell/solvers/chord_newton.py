@@ -50,6 +50,8 @@ _MARGIN = 1e-3
 """With kept factorizations corrections shrink linearly, and what remains is about as large as what was predicted:
 a thousandth of the tolerance makes results as near to the converged ones as full iterations' at that tolerance, and
 keeps what a method conserves as well."""
+_DIGITS, _AT_LEAST = 1e-14, 1e-2
+"""Near round-off a hundredth does: below this fraction of the shell, corrections are noise."""
 _NOISE = 1e-10
 """Corrections below this that shrink no more, their factorization being their own, are round-off."""
 
@@ -217,7 +219,9 @@ def _outlook(newton, c: _Carry, found: Correction, fresh) -> _Outlook:
     """After the correction `found`, whose matrix was its iterate's if `fresh`."""
     length, q = found.length, found.ratio
     first = ~jnp.isfinite(c.correction)
-    target = jnp.where(c.full, 1.0, _MARGIN) * newton.tolerance
+    tolerance = newton.tolerance
+    beyond = jnp.maximum(_MARGIN * tolerance, jnp.minimum(_DIGITS, _AT_LEAST * tolerance))
+    target = jnp.where(c.full, tolerance, beyond)
     # Only corrections of one kept factorization say how it contracts: after its own iterate's, which took most
     # of the error, what it leaves is in soft directions and may be far larger than their ratio tells.
     linear = jnp.where(c.own, 1.0, q / jnp.maximum(1.0 - q, 0.1))
