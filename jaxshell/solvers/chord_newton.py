@@ -37,6 +37,8 @@ _FEWEST = 4.0
 """No step is expected to do with fewer corrections."""
 _CONTRACTS = 0.6
 """A kept factorization is not used again where corrections shrink by less than this factor ..."""
+_CONTRACTS_STILL, _USELESS_STILL, _AFFORDABLE, _PATIENCE_STILL = 0.25, 0.5, 6, 8
+"""What holds, with the corrections expected to follow, for one that does not turn with the nodes."""
 _FORGETS = 0.8
 """... and no step starts with one that did so in the last; to be tried again later, what is remembered of it fades by
 this factor a step."""
@@ -104,7 +106,7 @@ def iterate(newton, problem: Problem, start: Start, measure: Measure, linear: Li
     def advance(c: _Carry, r, work) -> _Carry:
         fresh = c.memory.stale
         found, memory = _correction(problem, measure, linear, c, r)
-        outlook = _outlook(newton, c, found, fresh)
+        outlook = _outlook(newton, c, found, fresh, problem.turning is not None)
         if newton.criterion == "norm":
             enough = jnp.linalg.norm(found.step) <= newton.tolerance
         else:
@@ -149,7 +151,7 @@ def iterate(newton, problem: Problem, start: Start, measure: Measure, linear: Li
     end = lax.while_loop(lambda c: ~c.done & (c.iterations < limit), body, first)
     result = jnp.where(end.done, end.result, STAGNATED)
     solved = Solved(end.free, result, end.iterations, end.factorizations, end.correction)
-    return solved, _remembered(end, result)
+    return solved, _remembered(end, result, problem.turning is not None)
 
 
 def _correction(problem: Problem, measure: Measure, linear: Linear, c: _Carry, r) -> tuple[Correction, Memory]:
@@ -215,12 +217,13 @@ def _where(condition, there: _Carry, here: _Carry) -> _Carry:
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), there, here)
 
 
-def _outlook(newton, c: _Carry, found: Correction, fresh) -> _Outlook:
-    """After the correction `found`, whose matrix was its iterate's if `fresh`."""
+def _outlook(newton, c: _Carry, found: Correction, fresh, turns: bool) -> _Outlook:
+    """After the correction `found`, whose matrix was its iterate's if `fresh`; kept ones turn if `turns`."""
     length, q = found.length, found.ratio
     first = ~jnp.isfinite(c.correction)
     tolerance = newton.tolerance
     beyond = jnp.maximum(_MARGIN * tolerance, jnp.minimum(_DIGITS, _AT_LEAST * tolerance))
+    beyond = beyond if turns else _AT_LEAST * tolerance
     target = jnp.where(c.full, tolerance, beyond)
     # Only corrections of one kept factorization say how it contracts: after its own iterate's, which took most
     # of the error, what it leaves is in soft directions and may be far larger than their ratio tells.
@@ -232,29 +235,30 @@ def _outlook(newton, c: _Carry, found: Correction, fresh) -> _Outlook:
     # shows in the third.
     left = jnp.where(fresh, found.unseen, jnp.where(c.own | (c.iterations < 2), 1.0, linear))
     # How much the first correction left shows in the second, also in one with a fresh factorization.
-    earlier = (c.factorizations == 0) & (c.iterations == 1)
+    earlier = (c.factorizations == 0) & (c.iterations == 1) & (True if turns else ~fresh)
     contraction = jnp.where(earlier, q, c.memory.contraction)
     contraction = jnp.where(first & fresh, _FORGETS * contraction, contraction)
     # Of further corrections with this factorization.
     expected = jnp.where(first, c.memory.contraction, q)
     to_go = jnp.log(length * expected / target) / -jnp.log(jnp.clip(expected, 1e-10, 0.99))
-    slow = expected > _CONTRACTS
+    slow = expected > (_CONTRACTS if turns else _CONTRACTS_STILL)
     # Steps on which even their own factorizations serve once only start a long way off: full iterations, in the
     # next step too.
     hard = c.hard | (slow & (c.factorizations > 0))
     full = (c.memory.hard > 0) | hard
     average = jnp.maximum(c.memory.spent / jnp.maximum(c.memory.steps, 1), _FEWEST)
-    costly = slow | (c.iterations + to_go > average)
-    stale = jnp.where(fresh, full & (expected > _NEAR), costly) | (c.iterations >= _PATIENCE)
+    costly = slow | ((c.iterations + to_go > average) if turns else (to_go > _AFFORDABLE))
+    patience = _PATIENCE if turns else _PATIENCE_STILL
+    stale = jnp.where(fresh, full & (expected > _NEAR), costly) | (c.iterations >= patience)
     return _Outlook(target, predicted, left, contraction, stale | c.full, hard)
 
 
-def _remembered(end: _Carry, result) -> Memory:
+def _remembered(end: _Carry, result, turns: bool) -> Memory:
     """What the step leaves to the next."""
     kept, own = end.memory, end.factorizations > 0
     spent = jnp.where(own, _COSTS + 1 + end.since, kept.spent + end.iterations)
     kept = eqx.tree_at(lambda m: (m.spent, m.steps), kept, (spent, jnp.where(own, 1, kept.steps + 1)))
-    useless = (kept.contraction > _CONTRACTS) | (result != SUCCESSFUL)
+    useless = (kept.contraction > (_CONTRACTS if turns else _USELESS_STILL)) | (result != SUCCESSFUL)
     many = end.full & (end.iterations > _FEW)
     hard = jnp.where(many, 2, end.full | end.hard).astype(jnp.int32)
     return eqx.tree_at(lambda m: (m.stale, m.hard), kept, (kept.stale | useless, hard))
