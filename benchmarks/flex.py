@@ -22,47 +22,25 @@ import jaxshell as js
 from benchmarks.cases import write_case
 from benchmarks.pages import fill, mesh_name, table
 from benchmarks.workers import Worker, machine, median
-from jaxshell.advice import references
-from jaxshell.advice.chart import Configuration, run_once, timed
+from jaxshell.advice.chart import Configuration, measure, run_once
 from jaxshell.advice.limits import limit_reference
 
-WINDOW, ROUNDS, LARGEST = 1.0, 5, 0.02
+ROUNDS, LARGEST = 5, 0.02
 THEIRS = ((24, 5), (34, 7), (48, 10), (72, 15))
 OURS = ((10, 2), (14, 3), (19, 4))
-STEPS = (0.1, 0.05)
-
-
-def configurations(limit) -> Iterator[tuple[js.Scene, Any, Configuration, float]]:
-    """(scene, mesh, how it is run, error) of jaxshell's runs."""
-    exact, bare = js.EnergyMomentum(inertia="cubic"), js.GeneralizedEnergyMomentum(inertia="none")
-    explicit = js.CentralDifference(rotary="scaled")
-    for mesh in OURS:
-        scene = js.scenes.opened_cap(mesh)
-        for shape in ("curved", "flat"):
-            critical = explicit.critical_step(js.with_shape(scene, shape))
-            tried = [(method, dt) for method in (exact, bare) for dt in STEPS]
-            for method, dt in (*tried, (explicit, WINDOW / float(np.ceil(WINDOW / critical)))):
-                name = type(method).__name__ if method is not bare else "EMC, no rotary inertia"
-                how = Configuration("total", f"{name}, {shape}", method, dt, js.Newton(1e-6), shape=shape)
-                run, _ = timed(scene, how, WINDOW)
-                found = references.signals(scene, np.asarray(run.displacements))
-                error = references.signal_error(limit, np.asarray(run.frame_times), found, everywhere=True)
-                if not run.message:
-                    yield scene, mesh, how, error
+CASE = total_error.Case(js.scenes.opened_cap, "", 1.0, tuple((mesh, (0.1, 0.05)) for mesh in OURS), OURS, (), ())
 
 
 def theirs(worker: Worker, limit, folder: Path) -> Iterator[tuple[Any, dict, float]]:
     """(mesh, request, error) of MuJoCo's runs."""
     for mesh in THEIRS:
-        scene, dt, history = js.scenes.opened_cap(mesh), LARGEST, str(folder / "history.npz")
+        scene, dt, history = CASE.make(mesh), LARGEST, folder / "history.npz"
         case, error = str(write_case(scene, folder / f"{mesh_name(mesh)}.npz")), np.inf
         while not error < 1.0:
             dt /= 2.0
-            request = {"case": case, "dt": dt, "steps": round(WINDOW / dt)}
-            if worker(**request, history=history)["converged"]:
-                with np.load(history) as stored:
-                    found = references.signals(scene, stored["displacements"])
-                    error = references.signal_error(limit, stored["times"], found, everywhere=True)
+            request = {"case": case, "dt": dt, "steps": round(CASE.window / dt)}
+            if worker(**request, history=str(history))["converged"]:
+                error = total_error.stored_error(limit, scene, history)
         yield mesh, request, error
 
 
@@ -70,9 +48,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--peers", required=True, help="Python of the environment that has mujoco")
     options = parser.parse_args()
-    limit = limit_reference(js.scenes.opened_cap(), WINDOW)
+    limit = limit_reference(CASE.make(), CASE.window)
     assert limit is not None
-    mine = list(configurations(limit))
+    tried = [(CASE.make(mesh), mesh, how) for mesh, how in total_error.configurations(CASE)]
+    mine = [(*run, measure(run[0], run[2], limit, CASE.window).error) for run in tried]
     worker = Worker("mujoco", 1, options.peers)
     with tempfile.TemporaryDirectory() as folder:
         peer = list(theirs(worker, limit, Path(folder)))
@@ -104,7 +83,7 @@ def main() -> int:
 def timed_once(scene: js.Scene, how: Configuration) -> float:
     """Seconds of a warm run."""
     begun = time.perf_counter()
-    run_once(scene, how, WINDOW)
+    run_once(scene, how, CASE.window)
     return time.perf_counter() - begun
 
 

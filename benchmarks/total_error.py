@@ -159,15 +159,19 @@ def peers(name: str, case: Case, limit: Reference, python: str) -> list[dict]:
                     case=str(file), dt=dt, steps=round(case.window / dt), tolerance=TOLERANCE, absolute=True,
                     history=str(history),
                 )  # fmt: skip
-                with np.load(history) as stored:
-                    times, moved = stored["times"], references.signals(scene, stored["displacements"])
-                error = references.signal_error(limit, times, moved) if answer["converged"] else np.inf
+                error = stored_error(limit, scene, history) if answer["converged"] else np.inf
                 seconds, steps, iterations = (answer[key] for key in ("seconds", "steps", "iterations"))
                 point = Point("total", label, dt, seconds, error, steps, iterations, scene.mesh.n_elements)
                 found.append(point._asdict() | {"mesh": mesh, "program": label})
                 tell(found[-1])
             worker.close()
     return found
+
+
+def stored_error(limit: Reference, scene: js.Scene, history: Path) -> float:
+    """Of the motion that a peer wrote."""
+    with np.load(history) as stored:
+        return references.signal_error(limit, stored["times"], references.signals(scene, stored["displacements"]))
 
 
 def tell(p: dict) -> None:

@@ -1,7 +1,7 @@
 """MuJoCo on the harness's cases: a flex of triangles, `elastic2d="both"`, in a loop of explicit steps.
 
 Vertices are bodies on slides, with a third of the mass of every triangle at them; they have no rotations, and bending is
-of the angle between neighbours. Nothing touches and nothing damps. "variant" names the integrator.
+of the angle between neighbours. Nothing touches and nothing damps.
 """
 
 import time
@@ -13,7 +13,7 @@ from serve import serve
 _AXES = ("1 0 0", "0 1 0", "0 0 1")
 
 
-def build(case, dt: float, integrator: str):
+def build(case, dt: float):
     """(model, for every node and axis its number among the velocities, -1 where it is held)."""
     nodes, triangles = case["nodes"], case["triangles"]
     E, nu, h, rho = (float(case[n]) for n in ("young_modulus", "poisson_ratio", "thickness", "density"))
@@ -35,7 +35,7 @@ def build(case, dt: float, integrator: str):
         )
     names, corners = " ".join(f"v{k}" for k in range(len(nodes))), " ".join(map(str, triangles.ravel()))
     model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><option timestep="{dt:.17g}" gravity="0 0 0" integrator="{integrator}"><flag contact="disable"/>'
+        f'<mujoco><option timestep="{dt:.17g}" gravity="0 0 0"><flag contact="disable"/>'
         f'</option><compiler autolimits="true"/><size memory="1G"/><worldbody>{"".join(bodies)}</worldbody>'
         f'<deformable><flex name="shell" dim="2" body="{names}" element="{corners}" radius="1e-6">'
         f'<contact selfcollide="none"/><elasticity young="{E:.17g}" poisson="{nu:.17g}" thickness="{h:.17g}" '
@@ -47,7 +47,7 @@ def build(case, dt: float, integrator: str):
 def run(request: dict) -> dict:
     begun = time.perf_counter()
     case, dt, steps = np.load(request["case"]), request["dt"], request["steps"]
-    model, numbers = build(case, dt, request.get("variant", "Euler"))
+    model, numbers = build(case, dt)
     data = mujoco.MjData(model)
     moves = numbers >= 0
     patterns = [p[:, :3][moves] for p in case["load_patterns"]]

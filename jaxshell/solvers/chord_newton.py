@@ -4,8 +4,8 @@ A factorization costs as much as several corrections with one at hand. It turns 
 tangent of a thin shell most is that its elements turn, and a tangent turned with them, R K Rᵀ with the nodes' rotations
 since it was factored, is that of the turned shell, exactly where it turned as a rigid body. A new one is made when a
 step is expected to cost more than steps have on average since the last, that one's cost included: with a tangent that
-drifts away, this makes the average least. Where kept factorizations fail, the step is done anew with one in every
-iteration.
+drifts away, this makes the average least. What does not turn (`Problem.turning`) serves under stricter rules. Where
+kept factorizations fail, the step is done anew with one in every iteration.
 """
 
 from typing import NamedTuple
@@ -31,29 +31,40 @@ from jaxshell.solvers.iteration import (
     after_residual,
 )
 
+
+class _Rules(NamedTuple):
+    """How long kept factorizations serve, and when their iteration ends."""
+
+    contracts: float
+    """One is not used again where corrections shrink by less than this factor ..."""
+    useless: float
+    """... and no step starts with one by which those of the last step shrank by less than this."""
+    patience: int
+    """Corrections of a step after which every further one factors."""
+    margin: float
+    """With kept factorizations corrections shrink linearly, and what remains is about as large as what was predicted:
+    this part of the tolerance makes results as near to the converged ones as full iterations' at that tolerance."""
+    by_cost: bool
+    """A step may cost what steps have cost on average since the factorization. Else it is used again where no more than
+    `_AFFORDABLE` corrections are expected to follow, and only two corrections of its own say how it contracts."""
+
+
+_TURNING = _Rules(0.6, 0.6, 14, 1e-3, by_cost=True)
+"""The smaller margin keeps what a method conserves as well as shorter service of factorizations does at 1e-2."""
+_STILL = _Rules(0.25, 0.5, 8, 1e-2, by_cost=False)
 _COSTS = 8.0
-"""A factorization, its tangent included, in corrections: from 1000 to 60 000 unknowns 7 to 10."""
+"""A factorization, its tangent included, in corrections: 5 with 500 unknowns, 8.5 to 10 from 3000 to 16 000."""
 _FEWEST = 4.0
 """No step is expected to do with fewer corrections."""
-_CONTRACTS = 0.6
-"""A kept factorization is not used again where corrections shrink by less than this factor ..."""
-_CONTRACTS_STILL, _USELESS_STILL, _AFFORDABLE, _PATIENCE_STILL = 0.25, 0.5, 6, 8
-"""What holds, with the corrections expected to follow, for one that does not turn with the nodes."""
+_AFFORDABLE = 6
 _FORGETS = 0.8
-"""... and no step starts with one that did so in the last; to be tried again later, what is remembered of it fades by
-this factor a step."""
+"""What is remembered of a useless factorization fades by this factor a step, so that one is tried again later."""
 _NEAR = 0.06
 """A step that started far off is near its end where its own factorization contracts like this."""
 _FEW = 4
 """Full iterations of a step after which the next one tries kept factorizations again."""
-_PATIENCE = 14
-"""Corrections of a step after which every further one factors."""
-_MARGIN = 1e-3
-"""With kept factorizations corrections shrink linearly, and what remains is about as large as what was predicted:
-a thousandth of the tolerance makes results as near to the converged ones as full iterations' at that tolerance, and
-keeps what a method conserves as well."""
 _DIGITS, _AT_LEAST = 1e-14, 1e-2
-"""Near round-off a hundredth does: below this fraction of the shell, corrections are noise."""
+"""Below this fraction of the shell corrections are noise: near it a hundredth of the tolerance does."""
 _NOISE = 1e-10
 """Corrections below this that shrink no more, their factorization being their own, are round-off."""
 
@@ -99,6 +110,7 @@ class _Outlook(NamedTuple):
 
 def iterate(newton, problem: Problem, start: Start, measure: Measure, linear: Linear, memory: Memory):
     """Iterate from `start` with the settings `newton`: (Solved, Memory for the next step)."""
+    rules = _STILL if problem.turning is None else _TURNING
     full = memory.hard == 2
     memory = eqx.tree_at(lambda m: m.stale, memory, memory.stale | full)
     first = _first(start, memory, full)
@@ -106,7 +118,7 @@ def iterate(newton, problem: Problem, start: Start, measure: Measure, linear: Li
     def advance(c: _Carry, r, work) -> _Carry:
         fresh = c.memory.stale
         found, memory = _correction(problem, measure, linear, c, r)
-        outlook = _outlook(newton, c, found, fresh, problem.turning is not None)
+        outlook = _outlook(newton, rules, c, found, fresh)
         if newton.criterion == "norm":
             enough = jnp.linalg.norm(found.step) <= newton.tolerance
         else:
@@ -151,7 +163,7 @@ def iterate(newton, problem: Problem, start: Start, measure: Measure, linear: Li
     end = lax.while_loop(lambda c: ~c.done & (c.iterations < limit), body, first)
     result = jnp.where(end.done, end.result, STAGNATED)
     solved = Solved(end.free, result, end.iterations, end.factorizations, end.correction)
-    return solved, _remembered(end, result, problem.turning is not None)
+    return solved, _remembered(rules, end, result)
 
 
 def _correction(problem: Problem, measure: Measure, linear: Linear, c: _Carry, r) -> tuple[Correction, Memory]:
@@ -217,13 +229,12 @@ def _where(condition, there: _Carry, here: _Carry) -> _Carry:
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), there, here)
 
 
-def _outlook(newton, c: _Carry, found: Correction, fresh, turns: bool) -> _Outlook:
-    """After the correction `found`, whose matrix was its iterate's if `fresh`; kept ones turn if `turns`."""
+def _outlook(newton, rules: _Rules, c: _Carry, found: Correction, fresh) -> _Outlook:
+    """After the correction `found`, whose matrix was its iterate's if `fresh`."""
     length, q = found.length, found.ratio
     first = ~jnp.isfinite(c.correction)
     tolerance = newton.tolerance
-    beyond = jnp.maximum(_MARGIN * tolerance, jnp.minimum(_DIGITS, _AT_LEAST * tolerance))
-    beyond = beyond if turns else _AT_LEAST * tolerance
+    beyond = jnp.maximum(rules.margin * tolerance, jnp.minimum(_DIGITS, _AT_LEAST * tolerance))
     target = jnp.where(c.full, tolerance, beyond)
     # Only corrections of one kept factorization say how it contracts: after its own iterate's, which took most
     # of the error, what it leaves is in soft directions and may be far larger than their ratio tells.
@@ -235,30 +246,29 @@ def _outlook(newton, c: _Carry, found: Correction, fresh, turns: bool) -> _Outlo
     # shows in the third.
     left = jnp.where(fresh, found.unseen, jnp.where(c.own | (c.iterations < 2), 1.0, linear))
     # How much the first correction left shows in the second, also in one with a fresh factorization.
-    earlier = (c.factorizations == 0) & (c.iterations == 1) & (True if turns else ~fresh)
+    earlier = (c.factorizations == 0) & (c.iterations == 1) & (rules.by_cost | ~fresh)
     contraction = jnp.where(earlier, q, c.memory.contraction)
     contraction = jnp.where(first & fresh, _FORGETS * contraction, contraction)
     # Of further corrections with this factorization.
     expected = jnp.where(first, c.memory.contraction, q)
     to_go = jnp.log(length * expected / target) / -jnp.log(jnp.clip(expected, 1e-10, 0.99))
-    slow = expected > (_CONTRACTS if turns else _CONTRACTS_STILL)
+    slow = expected > rules.contracts
     # Steps on which even their own factorizations serve once only start a long way off: full iterations, in the
     # next step too.
     hard = c.hard | (slow & (c.factorizations > 0))
     full = (c.memory.hard > 0) | hard
     average = jnp.maximum(c.memory.spent / jnp.maximum(c.memory.steps, 1), _FEWEST)
-    costly = slow | ((c.iterations + to_go > average) if turns else (to_go > _AFFORDABLE))
-    patience = _PATIENCE if turns else _PATIENCE_STILL
-    stale = jnp.where(fresh, full & (expected > _NEAR), costly) | (c.iterations >= patience)
+    costly = slow | (c.iterations + to_go > average if rules.by_cost else to_go > _AFFORDABLE)
+    stale = jnp.where(fresh, full & (expected > _NEAR), costly) | (c.iterations >= rules.patience)
     return _Outlook(target, predicted, left, contraction, stale | c.full, hard)
 
 
-def _remembered(end: _Carry, result, turns: bool) -> Memory:
+def _remembered(rules: _Rules, end: _Carry, result) -> Memory:
     """What the step leaves to the next."""
     kept, own = end.memory, end.factorizations > 0
     spent = jnp.where(own, _COSTS + 1 + end.since, kept.spent + end.iterations)
     kept = eqx.tree_at(lambda m: (m.spent, m.steps), kept, (spent, jnp.where(own, 1, kept.steps + 1)))
-    useless = (kept.contraction > (_CONTRACTS if turns else _USELESS_STILL)) | (result != SUCCESSFUL)
+    useless = (kept.contraction > rules.useless) | (result != SUCCESSFUL)
     many = end.full & (end.iterations > _FEW)
     hard = jnp.where(many, 2, end.full | end.hard).astype(jnp.int32)
     return eqx.tree_at(lambda m: (m.stale, m.hard), kept, (kept.stale | useless, hard))

@@ -27,7 +27,8 @@ class Newton(eqx.Module):
             step is done anew without them.
         max_rotation: a correction is scaled down so that no nodal rotation in it exceeds this [rad].
         reuse: keep a factorization over iterations and steps while it contracts well (chord Newton): more
-            corrections, each far cheaper, and a predicted one a thousand times below the tolerance at the end.
+            corrections, each far cheaper, and a predicted one a thousand times below the tolerance at the end (a
+            hundred times with joints' multipliers, and near round-off).
             False factors in every iteration, which statics does by default.
         criterion: "predicted" (the correction that would follow) or "norm" (‖ΔQ‖ of the last one, as the paper
             does with 1e-6).
