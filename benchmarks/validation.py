@@ -20,7 +20,7 @@ import jaxshell as js
 from benchmarks.pages import table, write
 from jaxshell import scenes
 from jaxshell.model import generators
-from jaxshell.model.mesh import chain, grid
+from jaxshell.model.grids import chain, grid
 from jaxshell.model.supports import ALL
 
 jax.config.update("jax_enable_x64", True)

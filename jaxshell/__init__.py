@@ -45,6 +45,7 @@ if TYPE_CHECKING:
         TorsionSpring,
     )
     from jaxshell.model.damping import RayleighDamping
+    from jaxshell.model.grids import structured_triangles
     from jaxshell.model.imperfection import RandomField
     from jaxshell.model.initial import Initial
     from jaxshell.model.loads import (
@@ -67,7 +68,7 @@ if TYPE_CHECKING:
     )
     from jaxshell.model.masses import PointMass
     from jaxshell.model.materials import Isotropic, Orthotropic
-    from jaxshell.model.mesh import Mesh, structured_triangles
+    from jaxshell.model.mesh import Mesh
     from jaxshell.model.obstacles import Box, Cylinder, Plane, Sphere
     from jaxshell.model.refinement import coarsen, refine
     from jaxshell.model.scene import Scene
@@ -256,7 +257,8 @@ _HOMES = {
         "Traction",
     ],
     "model.materials": ["Isotropic", "Orthotropic"],
-    "model.mesh": ["Mesh", "structured_triangles"],
+    "model.grids": ["structured_triangles"],
+    "model.mesh": ["Mesh"],
     "files.models": ["read_model"],
     "gradients": ["gradients", "Checkpointed", "Stored"],
     "methods": [

@@ -9,7 +9,8 @@ import pytest
 from linear import displacements
 
 from jaxshell.model import generators
-from jaxshell.model.mesh import Mesh, structured_triangles
+from jaxshell.model.grids import structured_triangles
+from jaxshell.model.mesh import Mesh
 from jaxshell.model.sections import Section
 from jaxshell.scenes import spherical_cap
 

@@ -15,7 +15,7 @@ from jaxshell.analyses.statics import solve_static  # noqa: E402
 from jaxshell.command.report import describe_scene  # noqa: E402
 from jaxshell.files.scene_file import read_scene_file  # noqa: E402
 from jaxshell.model.generators import rectangle  # noqa: E402
-from jaxshell.model.mesh import grid  # noqa: E402
+from jaxshell.model.grids import grid  # noqa: E402
 from jaxshell.model.repair import split_quads  # noqa: E402
 
 STRIP = rectangle(4.0, 1.0, [8, 2])

@@ -10,7 +10,7 @@ import pytest
 
 import jaxshell as js
 from jaxshell.assembly.sparsity import SparsityPattern
-from jaxshell.methods.base import Balance
+from jaxshell.methods.balance import Balance
 from jaxshell.numerics.rotations import exp
 from jaxshell.solvers.iteration import DIVERGED, SINGULAR, STAGNATED, SUCCESSFUL, Linear, Problem, Turning
 from jaxshell.solvers.linear_solver import Dense

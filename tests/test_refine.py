@@ -14,7 +14,7 @@ import jaxshell as js
 from jaxshell.command.cli import main
 from jaxshell.files.scene_file import read_scene_file
 from jaxshell.model import generators
-from jaxshell.model.mesh import chain
+from jaxshell.model.grids import chain
 from jaxshell.model.mesh_checks import triangle_areas
 from jaxshell.results.tree import read_scene_of, write_scene
 

@@ -7,7 +7,7 @@ converges does not depend on the path of the iterates.
 """
 
 import abc
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from jaxshell.assembly.acting import Acting
 from jaxshell.assembly.discretised import Model
 from jaxshell.gradients import keep
+from jaxshell.methods.balance import Balance, Begun, Forces, Motion, Taken
 from jaxshell.methods.method import Method, Solvers, StepInfo
 from jaxshell.methods.predictor import extrapolate
 from jaxshell.methods.turning import turning
@@ -24,61 +25,6 @@ from jaxshell.numerics.batching import one_by_one
 from jaxshell.numerics.rotations import H_inverse, exp
 from jaxshell.solvers.iteration import Memory, Problem
 from jaxshell.solvers.newton import attach_derivative
-
-
-class Motion(NamedTuple):
-    """A node at the end of the step."""
-
-    x: Float[Array, "*n 3"]
-    """Position; in statics displacement."""
-    R: Float[Array, "*n 3 3"]
-    theta: Float[Array, "*n 3"]
-    """The rotation of the step, in the method's parameters."""
-    spin: Float[Array, "*n 3 3"]
-    """Derivative of the spin: δω = spin δθ."""
-
-
-class Forces(NamedTuple):
-    """One element's contributions to the balance, each (18,)."""
-
-    elastic: Float[Array, "*m 18"]
-    inertial: Float[Array, "*m 18"]
-
-
-class Balance(NamedTuple):
-    """The assembled residual and the scale of what is in balance."""
-
-    residual: Float[Array, "n 6"]
-    """Inertial plus internal minus external forces and moments."""
-    force: Float[Array, ""]
-    """Largest force of an element or a load on a node."""
-    moment: Float[Array, ""]
-    work: Float[Array, ""]
-    """What the step exchanges: sizes of the works of every element's elastic forces, of its inertia, and of loads."""
-
-
-class Begun(NamedTuple):
-    """Constants of a step."""
-
-    data: Any
-    """Per element, each leaf with a leading axis m."""
-    step: Any
-    """What the elements share."""
-    loads: Float[Array, "n 6"]
-    """The loads of the balance that are known: dead loads, and what contributions count at the start."""
-    end: Float[Array, ""]
-    """The time at the end."""
-    lumps: Any = None
-    """Of the point masses, each leaf with a leading axis k; None where there are none."""
-
-
-class Taken(NamedTuple):
-    """What contributions that resist do to the energy in a step."""
-
-    lost: Float[Array, ""]
-    """Dissipated."""
-    work: Float[Array, ""]
-    """Done from outside by what moves them."""
 
 
 class ImplicitMethod(Method):

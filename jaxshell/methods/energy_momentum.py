@@ -18,7 +18,8 @@ from jaxshell.elements import corotational, cubic_inertia, director_inertia, ene
 from jaxshell.elements.element import Element
 from jaxshell.elements.energy_momentum import StepStart, edges_of, mid_matrix, spin_matrix
 from jaxshell.methods import masses, predictor
-from jaxshell.methods.base import Begun, Forces, ImplicitMethod, Motion
+from jaxshell.methods.balance import Begun, Forces, Motion
+from jaxshell.methods.base import ImplicitMethod
 from jaxshell.methods.method import Observation
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import PredictedState

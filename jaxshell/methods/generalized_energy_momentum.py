@@ -19,7 +19,8 @@ from jaxshell.elements.corotational import Kinematics
 from jaxshell.elements.element import Element
 from jaxshell.elements.inertia import Spins, StepFactors
 from jaxshell.methods import damping, masses, predictor, seven_point, traditional
-from jaxshell.methods.base import Begun, Forces, ImplicitMethod
+from jaxshell.methods.balance import Begun, Forces
+from jaxshell.methods.base import ImplicitMethod
 from jaxshell.methods.method import Observation, may_have_first_moment
 from jaxshell.methods.start import initial_accelerations, initial_motion, linear_of
 from jaxshell.methods.state import PredictedState

@@ -27,7 +27,8 @@ from jaxshell.elements import corotational
 from jaxshell.elements.element import Element
 from jaxshell.elements.inertia import PointStart, Spins, StepFactors
 from jaxshell.methods import damping, masses, predictor, seven_point
-from jaxshell.methods.base import Begun, Forces, ImplicitMethod
+from jaxshell.methods.balance import Begun, Forces
+from jaxshell.methods.base import ImplicitMethod
 from jaxshell.methods.method import Observation
 from jaxshell.methods.start import initial_accelerations, initial_motion, linear_of, translational_inertia
 from jaxshell.methods.state import PredictedState

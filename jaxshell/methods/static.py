@@ -25,7 +25,8 @@ from jaxtyping import Array, Float
 from jaxshell.assembly.discretised import Model
 from jaxshell.elements import corotational
 from jaxshell.elements.element import Element
-from jaxshell.methods.base import Begun, Forces, ImplicitMethod
+from jaxshell.methods.balance import Begun, Forces
+from jaxshell.methods.base import ImplicitMethod
 from jaxshell.methods.method import Observation
 from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import State

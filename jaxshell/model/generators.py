@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from jaxshell.model.mesh import Mesh, check_size, grid, structured_triangles
+from jaxshell.model.grids import check_size, grid, structured_triangles
+from jaxshell.model.mesh import Mesh
 from jaxshell.model.surface import CylindricalSurface, FlatSurface, SphericalSurface
 from jaxshell.numerics.checks import check_positive_number, is_concrete, shown, whole_array
 

@@ -8,11 +8,12 @@ import numpy as np
 from jaxshell.model import generators
 from jaxshell.model.connectors import RigidBody
 from jaxshell.model.damping import RayleighDamping
+from jaxshell.model.grids import grid
 from jaxshell.model.history import History
 from jaxshell.model.initial import Initial
 from jaxshell.model.loads import Gravity
 from jaxshell.model.masses import PointMass
-from jaxshell.model.mesh import Mesh, grid
+from jaxshell.model.mesh import Mesh
 from jaxshell.model.obstacles import Plane
 from jaxshell.model.scene import Defaults, Scene
 from jaxshell.model.sections import Section

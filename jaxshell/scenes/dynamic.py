@@ -7,9 +7,10 @@ ASSUMPTION: then compare with the papers' curves in kind, not digit by digit.
 import numpy as np
 
 from jaxshell.model import generators
+from jaxshell.model.grids import chain, grid, structured_triangles
 from jaxshell.model.initial import Initial
 from jaxshell.model.loads import EdgeForce, History, NodalForce, Pressure
-from jaxshell.model.mesh import Mesh, chain, grid, structured_triangles
+from jaxshell.model.mesh import Mesh
 from jaxshell.model.scene import Defaults, Scene
 from jaxshell.model.sections import Section
 from jaxshell.model.supports import pinned

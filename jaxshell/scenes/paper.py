@@ -6,8 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxshell.model.generators import counts
+from jaxshell.model.grids import chain, grid, structured_triangles
 from jaxshell.model.loads import EdgeForce, History, Load, NodalForce
-from jaxshell.model.mesh import Mesh, chain, grid, structured_triangles
+from jaxshell.model.mesh import Mesh
 from jaxshell.model.scene import Defaults, Scene
 from jaxshell.model.sections import Section
 from jaxshell.model.supports import Support, clamped, symmetry

@@ -10,8 +10,9 @@ import math
 import numpy as np
 
 from jaxshell.model import generators
+from jaxshell.model.grids import chain, grid, structured_triangles
 from jaxshell.model.loads import EdgeForce, NodalForce, NodalMoment
-from jaxshell.model.mesh import Mesh, chain, grid, structured_triangles
+from jaxshell.model.mesh import Mesh
 from jaxshell.model.scene import Scene
 from jaxshell.model.sections import Section
 from jaxshell.model.supports import Support, clamped, pinned, symmetry

@@ -3,7 +3,8 @@
 import numpy as np
 
 from jaxshell.model.edges import Edges
-from jaxshell.model.mesh import Mesh, structured_triangles
+from jaxshell.model.grids import structured_triangles
+from jaxshell.model.mesh import Mesh
 from jaxshell.model.refinement.split import CHILDREN, Split
 
 _TURNED = ([0, 1, 2], [0, 2, 1])

@@ -8,7 +8,8 @@ import numpy as np
 from jaxshell.model.corner_normals import CREASE
 from jaxshell.model.edges import Edges
 from jaxshell.model.gauge import gauge_of
-from jaxshell.model.mesh import MOST_TRIANGLES, Mesh
+from jaxshell.model.grids import MOST_TRIANGLES
+from jaxshell.model.mesh import Mesh
 from jaxshell.model.refinement import carry
 from jaxshell.model.refinement.bisection import bisected_edges
 from jaxshell.model.refinement.initial import carried_initial
