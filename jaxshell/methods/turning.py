@@ -15,7 +15,8 @@ def turning(model: Model, R: Float[Array, "n 3 3"]) -> Turning | None:
 
     A condition that two places stay together is the same however the nodes there turn. Where they turn apart, as at a
     hinge, no node's rotation turns its rows as it turns the elements', and what a kept factorization leaves in the
-    joint's forces is lost of the angular momentum (5e-12 in 800 steps of the unfolding panel).
+    joint's forces is lost of the angular momentum (5e-12 in 800 steps of the unfolding panel, where what it solves was
+    not refined).
     """
     if model.tables.zeros is not None:
         return None

@@ -4,6 +4,7 @@ Corrections are measured in the shell's own scale: displacements over the diagon
 rotations in radians; the largest entry counts.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -27,9 +28,9 @@ _SMALLEST = 1e-12
 """Corrections below this are not asked for the sake of energy: near it positions have no more digits."""
 _CURVED = 1e4
 """What a full correction leaves is about so many times its square, of thin shells, before another one tells."""
-_SOFT, _REFINEMENTS, _IN_NEWTON = 1e-6, 3, 2
+_SOFT, _REFINEMENTS, _IN_NEWTON, _KEPT = 1e-6, 3, 2, 1
 """What stands in place of zeros on the diagonal, as a part of what they become; and how often a solution with a
-softened matrix is refined, where no iteration follows and in Newton's."""
+softened matrix is refined: where no iteration follows, in Newton's, and there with a factorization kept."""
 _FIRST_GUESS = 0.1
 """Contraction of a factorization that has not been used yet."""
 _OFF = 0.1
@@ -96,9 +97,8 @@ class Linear(NamedTuple):
         values = given if softening is None else given.at[self._zeros].add(-softening)
         x, factorization = self.solver.factor_and_solve(self.handle, values, rhs)
         if softening is not None:
-            for _ in range(_IN_NEWTON):
-                left = rhs - multiply(self.handle, given, x)
-                x = x + self.solver.solve(self.handle, factorization, values, left)
+            again = functools.partial(self.solver.solve, self.handle, factorization, values)
+            x = self._refined(x, given, rhs, again, _IN_NEWTON)
         return self._times_units(x), factorization, values
 
     def keeping(self, memory: "Memory", factorization, factored, turning: "Turning | None") -> "Memory":
@@ -118,10 +118,10 @@ class Linear(NamedTuple):
         """K⁻¹ rhs, from the factorization and the matrix factored of `factor_and_solve`; refined once where zeros are
         softened (1e-12 of the unfolding panel's angular momentum lost in 800 steps, so 2e-13)."""
         rhs = self._times_units(rhs)
-        x = self.solver.solve(self.handle, factorization, factored, rhs)
+        substituted = functools.partial(self.solver.solve, self.handle, factorization, factored)
+        x = substituted(rhs)
         if self.soft is not None:
-            left = rhs - multiply(self.handle, factored.at[self._zeros].set(0.0), x)
-            x = x + self.solver.solve(self.handle, factorization, factored, left)
+            x = self._refined(x, factored.at[self._zeros].set(0.0), rhs, substituted, _KEPT)
         return self._times_units(x)
 
     def solve_once(self, values, rhs) -> Float[Array, " nf"]:
@@ -131,11 +131,14 @@ class Linear(NamedTuple):
         if softening is None:
             return self._times_units(linear_solve(self.solver, self.handle, given, rhs))
         matrix = given.at[self._zeros].add(-softening)
-        x = linear_solve(self.solver, self.handle, matrix, rhs)
-        for _ in range(_REFINEMENTS):
-            left = rhs - multiply(self.handle, given, x)
-            x = x + linear_solve(self.solver, self.handle, matrix, left)
-        return self._times_units(x)
+        solved = functools.partial(linear_solve, self.solver, self.handle, matrix)
+        return self._times_units(self._refined(solved(rhs), given, rhs, solved, _REFINEMENTS))
+
+    def _refined(self, x, given, rhs, solve, times: int):
+        """x, the solution with a softened matrix, towards that with the matrix `given` itself; all in these units."""
+        for _ in range(times):
+            x = x + solve(rhs - multiply(self.handle, given, x))
+        return x
 
     @property
     def _zeros(self):
