@@ -20,6 +20,7 @@ from jaxshell.methods.state import State
 from jaxshell.methods.static import Static, held_reactions
 from jaxshell.methods.turning import turning
 from jaxshell.model.scene import WATCHABLE, Scene
+from jaxshell.numerics.branches import when
 from jaxshell.numerics.compiled import compiled, compiled_once
 from jaxshell.solvers.iteration import STEP_TOO_SMALL, SUCCESSFUL, Memory
 
@@ -102,7 +103,8 @@ def run(model: Model, plan: Plan, carry: Carry, steps):
     def one(carry: Carry, step):
         dt, end = step
 
-        def take():
+        def take(found):
+            carry, _ = found
             state, info, memory = plan.method.step(model, carry.state, dt, plan.solvers, carry.memory)
             reaction = carried(model, plan, carry.state, state, dt)
             state = eqx.tree_at(lambda s: s.time, state, end)
@@ -111,10 +113,8 @@ def run(model: Model, plan: Plan, carry: Carry, steps):
             recorded = record(model, plan, carry.state, state, reaction, info.iterations, info.factorizations, good)
             return Carry(state, memory, info.result.astype(jnp.int32)), recorded
 
-        def skip():
-            return carry, empty(jax.eval_shape(lambda: first(model, plan, carry.state))[0])
-
-        return jax.lax.cond((dt > 0) & (carry.result == SUCCESSFUL), take, skip)
+        skipped = carry, empty(jax.eval_shape(lambda: first(model, plan, carry.state))[0])
+        return when((dt > 0) & (carry.result == SUCCESSFUL), take, skipped)
 
     def one_frame(carry, steps):
         carry, records = jax.lax.scan(one, carry, steps)

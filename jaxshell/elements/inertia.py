@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from jaxshell.elements.element import Element
 from jaxshell.numerics import rotations
 from jaxshell.numerics.checks import Real
+from jaxshell.numerics.fusion import formed
 from jaxshell.numerics.products import cross, dot, product
 from jaxshell.numerics.triangles import LINEAR_MASS
 
@@ -96,9 +97,9 @@ def apply_inertia(axis, rotary_inertia, vector):
 
 def end_of_step(theta, start: Spins, factors: StepFactors) -> Spins:
     """Spins at the end of the step for one point, eqs. (103), (13), (14); θ (3,) is its rotation in the step."""
-    material = theta @ start.R
+    material = product(theta, start.R)
     return Spins(
-        product(rotations.exp(theta), start.R),
+        product(formed(rotations.exp(theta)), start.R),
         factors.first(material, start.Omega, start.Omega_dot),
         factors.second(material, start.Omega, start.Omega_dot),
     )
@@ -129,19 +130,22 @@ class PointStart(NamedTuple):
 
 
 def _mid_point(theta, start: PointStart, factors: StepFactors, centrifugal: bool, alpha=None):
-    """exp(~θ), its average with I, Ω at the mid-point and a = I_ρ Ω̇ + ~Ω I_ρ Ω over ρh³/12, in the start's frame.
+    """Ω at the mid-point and a = I_ρ Ω̇ + ~Ω I_ρ Ω over ρh³/12, in the start's frame.
 
     With mass-proportional damping `alpha` a holds α I_ρ Ω too.
     """
-    end = rotations.exp(theta)
-    averaged = factors.mid(end, jnp.eye(3), factors.alpha_f)
     t, first, second = start.director, start.rate, start.acceleration
     rate = factors.mid(factors.first(theta, first, second), first, factors.alpha_f)
-    acceleration = factors.mid_acceleration(theta, first, second, alpha)
+    rate, acceleration = formed((rate, factors.mid_acceleration(theta, first, second, alpha)))
     a = acceleration - dot(acceleration, t) * t
     if centrifugal:
         a = a - dot(rate, t) * cross(rate, t)  # Ω × (Ω - t t·Ω)
-    return end, averaged, rate, a
+    return rate, a
+
+
+def _averaged(theta, v, factors: StepFactors):
+    """A vector v of the start turned by the average of exp(~θ) and I at the mid-point."""
+    return factors.mid(rotations.turned(theta, v), v, factors.alpha_f)
 
 
 def point_inertia(
@@ -151,8 +155,8 @@ def point_inertia(
 
     With mass-proportional damping `alpha` [1/time], where it is not None, R (α I_ρ Ω) is added.
     """
-    _, averaged, _, a = _mid_point(theta, start, factors, centrifugal, alpha)
-    return product(averaged, a)
+    _, a = _mid_point(theta, start, factors, centrifugal, alpha)
+    return _averaged(theta, formed(a), factors)
 
 
 def point_director(
@@ -160,10 +164,11 @@ def point_director(
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     """Director t and its acceleration R (Ω̇ × e3 + Ω × (Ω × e3)) at the generalised mid-point, averaged as in
     `point_inertia`, for one point. With mass-proportional damping `alpha` its α times rate is added."""
-    _, averaged, rate, _ = _mid_point(theta, start, factors, centrifugal=False)
+    rate, _ = _mid_point(theta, start, factors, centrifugal=False)
     t, first, second = start.director, start.rate, start.acceleration
     acceleration = factors.mid_acceleration(theta, first, second, alpha)
-    return product(averaged, t), product(averaged, cross(acceleration, t) + cross(rate, cross(rate, t)))
+    change = cross(acceleration, t) + cross(rate, cross(rate, t))
+    return _averaged(theta, t, factors), _averaged(theta, change, factors)
 
 
 def point_tangent(
@@ -175,8 +180,9 @@ def point_tangent(
     the end's rotation, so it holds R_{n+1} and not the averaged matrix that eq. (95) names. With I_ρ ∝ I - t tᵀ
     the gyroscopic matrix ~Ω I_ρ - ~(I_ρ Ω) is (Ω·t) ~t - (Ω × t) tᵀ.
     """
-    end, averaged, rate, a = _mid_point(theta, start, factors, centrifugal, alpha)
-    t = start.director
+    rate, a = _mid_point(theta, start, factors, centrifugal, alpha)
+    end, t = rotations.exp(theta), start.director
+    averaged = factors.mid(end, jnp.eye(3), factors.alpha_f)
     beta, gamma, _, alpha_f, dt = factors
     material = factors.mid_acceleration_slope(alpha) * (jnp.eye(3) - t[:, None] * t[None, :])
     if centrifugal:

@@ -25,6 +25,7 @@ from jaxshell.methods.method import Observation, may_have_first_moment
 from jaxshell.methods.start import initial_accelerations, initial_motion, linear_of
 from jaxshell.methods.state import PredictedState
 from jaxshell.numerics.checks import Real, check_choice, check_within
+from jaxshell.numerics.fusion import formed
 
 
 class GEMState(PredictedState):
@@ -51,8 +52,6 @@ class ElementData(NamedTuple):
 
     element: Element
     start: Kinematics
-    Lambda: Float[Array, "12 18"]
-    """Λ_n in global axes."""
     v: Float[Array, "3 3"]
     a: Float[Array, "3 3"]
     R: Float[Array, "3 3 3"]
@@ -121,7 +120,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         if self.inertia == "traditional":
             moment = traditional.moments(motion, data.R, data.spins, element, factors, alpha)
             inertial = inertial + jnp.pad(moment, ((0, 0), (3, 0))).reshape(18)
-        return Forces(elastic, inertial)
+        return Forces(formed(elastic), inertial)
 
     def element_tangent(self, motion, u, data: ElementData, step: Shared):
         factors, element = step.factors, data.element
@@ -130,6 +129,8 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         material = 1.0 - factors.alpha_f + step.xi
         if data.damped is not None:
             material = material + damping.viscous_material(data.damped, factors, factors.alpha_f)
+        # Λ_n, formed here: a step that keeps a factorization has no use for it.
+        at_start = corotational.gradient_to_global(*formed((corotational.deformation_gradient(data.start), data.start)))
         K = corotational.stiffness(  # eq. (97)
             kin,
             f,
@@ -137,7 +138,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             motion.spin,
             material=material,
             geometric=1.0 - factors.alpha_f,
-            average=lambda Lambda: factors.mid(Lambda, data.Lambda, factors.alpha_f),
+            average=lambda Lambda: factors.mid(Lambda, at_start, factors.alpha_f),
         )
         points = data.spins if self.inertia == "seven_point" else None
         acceleration = factors.mid_acceleration(u[:, :3], data.v, data.a, alpha)
@@ -199,8 +200,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         # One stress-free state for the step, weighted as the deformations are in eq. (93).
         elements = model.elements_at((1.0 - factors.alpha_f, end), (factors.alpha_f, start))
         kin = jax.vmap(corotational.kinematics)(x, R, elements)
-        Lambda = jax.vmap(lambda kin: corotational.gradient_to_global(corotational.deformation_gradient(kin), kin))(kin)
-        data = ElementData(elements, kin, Lambda, v, a, R, spins, damped)
+        data = ElementData(elements, kin, v, a, R, spins, damped)
         lumps = masses.start(model.lumps, state.v, state.a, state.lumps)
         return Begun(data, Shared(factors, jnp.asarray(self.dissipation)), loads, end, lumps)
 

@@ -35,7 +35,7 @@ def inertial_forces(
     `points` None leaves the rotary inertia out. Mass-proportional damping `alpha`, where it is not None, adds α M v
     with the velocities of n+1-αf.
     """
-    acceleration = factors.mid_acceleration(increment, v, a, alpha)
+    acceleration = formed(factors.mid_acceleration(increment, v, a, alpha))
     mass = element.mass_per_area * element.area
     force = scaled(mass, product(jnp.asarray(LINEAR_MASS), acceleration))
     if points is None:
@@ -53,7 +53,7 @@ def inertial_forces(
         uneven = scaled(element.area * element.first_moment, jnp.asarray(_POINTS_TO_NODES))
         force = force + product(uneven, changes)
         moment = moment + product(uneven, cross(directors, product(jnp.asarray(GAUSS_POINTS), acceleration)))
-    return jnp.stack([force, moment], axis=1).reshape(18)
+    return formed(jnp.stack(formed([force, moment]), axis=1).reshape(18))
 
 
 def inertial_tangent(
@@ -130,8 +130,12 @@ def points_at_start(model: Model, spins: Spins) -> PointStart:
 
 def turned_spins(model: Model, theta: Float[Array, "n 3"], spins: Spins, factors: StepFactors) -> Spins:
     """Spins at the end of the step from the nodal rotation vectors, eqs. (103), (13), (14)."""
-    at_points = jnp.asarray(GAUSS_POINTS) @ model.gather(theta)
-    return jax.vmap(jax.vmap(inertia.end_of_step, (0, 0, None)), (0, 0, None))(at_points, spins, factors)
+
+    def points(theta, spins):
+        at_points = formed(product(jnp.asarray(GAUSS_POINTS), theta))
+        return jax.vmap(inertia.end_of_step, (0, 0, None))(at_points, spins, factors)
+
+    return jax.vmap(points)(model.gather(theta), spins)
 
 
 def kinetic_and_momenta(model: Model, x: Float[Array, "n 3"], v: Float[Array, "n 3"], spins: Spins | None):

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxshell.numerics.fusion import formed
-from jaxshell.numerics.products import dot, product, scaled
+from jaxshell.numerics.products import cross, dot, product, scaled
 
 Scalar = Float[Array, ""]
 Vector = Float[Array, "3"]
@@ -115,6 +115,13 @@ def exp(theta: Vector) -> Matrix:
     theta_sq = formed(dot(theta, theta))
     c = cosine_ratio(theta_sq)
     return compose(1.0 - c * theta_sq, sine_ratio(theta_sq), c, theta)
+
+
+def turned(theta: Vector, v: Vector) -> Vector:
+    """exp(~θ) v without the matrix: v + sin θ/θ θ × v + (1 - cos θ)/θ² θ × (θ × v)."""
+    theta_sq = formed(dot(theta, theta))
+    b, c, across = formed((sine_ratio(theta_sq), cosine_ratio(theta_sq), cross(theta, v)))
+    return v + scaled(b, across) + scaled(c, cross(theta, across))
 
 
 def cayley(theta: Vector) -> Matrix:

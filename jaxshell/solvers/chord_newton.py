@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxshell.numerics.branches import when
 from jaxshell.solvers.iteration import (
     DIVERGED,
     ROUND_OFF,
@@ -29,6 +30,7 @@ from jaxshell.solvers.iteration import (
     Solved,
     Start,
     after_residual,
+    where,
 )
 
 
@@ -147,7 +149,7 @@ def iterate(newton, problem: Problem, start: Start, measure: Measure, linear: Li
             start=c.start,
         )
         failed = jnp.where(done, result != SUCCESSFUL, after.iterations >= newton.max_iterations)
-        return _where(failed & ~c.full, _begun_anew(first, after), after)
+        return where(failed & ~c.full, _begun_anew(first, after), after)
 
     def body(c: _Carry) -> _Carry:
         r, error, work = measure.residual(problem, c.free)
@@ -156,7 +158,7 @@ def iterate(newton, problem: Problem, start: Start, measure: Measure, linear: Li
         settled = (error < ROUND_OFF) & c.full
         broken = ~jnp.isfinite(error)
         stop = c._replace(done=jnp.array(True), result=jnp.where(broken, DIVERGED, c.result))
-        stop = _where(broken & ~c.full, _begun_anew(first, c), stop)
+        stop = where(broken & ~c.full, _begun_anew(first, c), stop)
         return after_residual(c, r, error, measure, settled | broken, stop, lambda c: advance(c, r, work))
 
     limit = 2 * newton.max_iterations
@@ -169,14 +171,13 @@ def iterate(newton, problem: Problem, start: Start, measure: Measure, linear: Li
 def _correction(problem: Problem, measure: Measure, linear: Linear, c: _Carry, r) -> tuple[Correction, Memory]:
     """The correction for the residual r, and the memory with what was factored for it."""
 
-    def anew():
+    def anew(found):
+        _, memory = found
         step, factorization, values = linear.factor_and_solve(problem.matrix(c.free, c.last), -r)
-        return step, linear.keeping(c.memory, factorization, values, problem.turning)
+        return step, linear.keeping(memory, factorization, values, problem.turning)
 
-    def again():
-        return _turned_along(problem, linear, c.memory, -r), c.memory
-
-    step, memory = lax.cond(c.memory.stale, anew, again)
+    step, memory = when(c.memory.stale, anew, (jnp.zeros_like(r), c.memory))
+    step = lax.cond(c.memory.stale, lambda: step, lambda: _turned_along(problem, linear, memory, -r))
     return measure.correction(step, c.correction), memory
 
 
@@ -223,10 +224,6 @@ def _begun_anew(first: _Carry, c: _Carry) -> _Carry:
     memory = eqx.tree_at(lambda m: m.stale, c.memory, yes)
     again = first._replace(iterations=c.iterations, factorizations=c.factorizations, since=c.since)
     return again._replace(memory=memory, hard=yes, full=yes, free=c.start.free, start=c.start)
-
-
-def _where(condition, there: _Carry, here: _Carry) -> _Carry:
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), there, here)
 
 
 def _outlook(newton, rules: _Rules, c: _Carry, found: Correction, fresh) -> _Outlook:

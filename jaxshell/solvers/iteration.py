@@ -6,7 +6,7 @@ rotations in radians; the largest entry counts.
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -14,8 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxshell.numerics.branches import when
 from jaxshell.numerics.checks import Real
 from jaxshell.solvers.linear_solver import Handle, LinearSolver, linear_solve, multiply, scaled
+
+C = TypeVar("C", bound=NamedTuple)
 
 SUCCESSFUL, DIVERGED, STAGNATED, SINGULAR, STEP_TOO_SMALL, UNSTABLE = (np.int32(k) for k in range(6))
 """Result codes inside compiled programs, in the order of `jaxshell.RESULTS`."""
@@ -330,14 +333,18 @@ class Measure(NamedTuple):
         return r, jnp.max(jnp.abs(r) / jnp.where(self.rotates, moment, force)), balance.work
 
 
-def after_residual(c, r, error, measure: Measure, ends, stop, advance: Callable):
+def after_residual(c: C, r, error, measure: Measure, ends, stop: C, advance: Callable[[C], C]) -> C:
     """An iteration's carry `c`, with its iterate `free` and its `start`, after the residual r of the size `error`.
 
     It looks at the other start, ends as `stop`, or is what `advance` makes of it.
     """
     if c.start.calm is None:
-        return jax.lax.cond(ends, lambda: stop, lambda: advance(c))
+        return when(~ends, advance, where(ends, stop, c))
     start, free, looks = c.start.chosen(c.free, r, error, measure.rotates)
-    which = jnp.where(looks, 0, jnp.where(ends, 1, 2))
-    looking = c._replace(free=free, start=start)
-    return jax.lax.switch(which, (lambda: looking, lambda: stop, lambda: advance(c._replace(start=start))))
+    looking, c = c._replace(free=free, start=start), c._replace(start=start)
+    return when(~looks & ~ends, advance, where(looks, looking, where(ends, stop, c)))
+
+
+def where(condition, there: C, here: C) -> C:
+    """`there` where the condition holds, else `here`; what both share is left alone."""
+    return jax.tree.map(lambda a, b: a if a is b else jnp.where(condition, a, b), there, here)
