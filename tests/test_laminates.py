@@ -66,8 +66,7 @@ def method_and_data(name, far):
         data = exact.ElementData(element, energy_momentum.StepStart(energy_momentum.edges_of(far.x), far.start), motion)
         return js.EnergyMomentum(0.1), data, exact.Shared(jnp.array(0.1), jnp.array(0.1)), far.x
     method = js.GeneralizedEnergyMomentum(0.8, 0.1)
-    Lambda = corotational.gradient_to_global(corotational.deformation_gradient(far.start), far.start)
-    data = paper.ElementData(element, far.start, Lambda, far.v, far.a, far.R, far.points)
+    data = paper.ElementData(element, far.start, far.v, far.a, far.R, far.points)
     return method, data, paper.Shared(method.factors(0.1), jnp.array(0.1)), far.x
 
 

@@ -183,3 +183,14 @@ def test_second_derivatives_of_log_after_exp_vanish():
     thetas = on_axes(0.0, 1e-9, 1e-4, 0.2, 1.0, 2.1, 3.1)
     for mode, hessian in hessians(lambda theta: rotations.log(rotations.exp(theta))).items():
         assert np.abs(hessian(thetas)).max() < 1e-12, mode
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 1.0, 3.0, np.pi, 5.0])
+def test_a_vector_is_turned_as_by_the_matrix(angle):
+    theta = jnp.asarray(angle * AXES)
+    v = jnp.asarray(np.random.default_rng(2).normal(size=theta.shape))
+    matrices = jax.vmap(rotations.exp)(theta)
+    np.testing.assert_allclose(jax.vmap(rotations.turned)(theta, v), jnp.einsum("nij,nj->ni", matrices, v), atol=2e-15)
+    by_theta = jax.vmap(jax.jacfwd(rotations.turned))(theta, v)
+    expected = jnp.einsum("nijk,nj->nik", jax.vmap(jax.jacfwd(rotations.exp))(theta), v)
+    np.testing.assert_allclose(by_theta, expected, atol=1e-14)

@@ -245,7 +245,8 @@ def try_steps(
         stop = stops[jnp.searchsorted(stops, now.time, side="right")]
         dt, lands = control.next_step(now, stop)
 
-        def take():
+        def take(found):
+            (carry, now), _ = found
             state, info, memory = plan.method.step(model, carry.state, dt, plan.solvers, carry.memory)
             reaction = carried(model, plan, carry.state, state, dt)
             state = eqx.tree_at(lambda s: s.time, state, jnp.where(lands, stop, state.time))
@@ -258,10 +259,8 @@ def try_steps(
             recorded = record(model, plan, carry.state, state, reaction, info.iterations, info.factorizations, accepted)
             return Attempts(Carry(state, memory, result), after), (recorded, frame(model, state))
 
-        def skip():
-            return attempts, empty(jax.eval_shape(lambda: first(model, plan, carry.state)))
-
+        skipped = attempts, empty(jax.eval_shape(lambda: first(model, plan, carry.state)))
         active = allowed & (carry.result == SUCCESSFUL) & (now.time < stops[-1])
-        return jax.lax.cond(active, take, skip)
+        return when(active, take, skipped)
 
     return jax.lax.scan(attempt, attempts, allowed)

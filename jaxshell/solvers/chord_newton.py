@@ -11,7 +11,6 @@ kept factorizations fail, the step is done anew with one in every iteration.
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int

@@ -18,7 +18,7 @@ from jaxshell.numerics.branches import when
 from jaxshell.numerics.checks import Real
 from jaxshell.solvers.linear_solver import Handle, LinearSolver, linear_solve, multiply, scaled
 
-C = TypeVar("C", bound=NamedTuple)
+C = TypeVar("C")
 
 SUCCESSFUL, DIVERGED, STAGNATED, SINGULAR, STEP_TOO_SMALL, UNSTABLE = (np.int32(k) for k in range(6))
 """Result codes inside compiled programs, in the order of `jaxshell.RESULTS`."""
@@ -333,7 +333,7 @@ class Measure(NamedTuple):
         return r, jnp.max(jnp.abs(r) / jnp.where(self.rotates, moment, force)), balance.work
 
 
-def after_residual(c: C, r, error, measure: Measure, ends, stop: C, advance: Callable[[C], C]) -> C:
+def after_residual(c, r, error, measure: Measure, ends, stop, advance: Callable):
     """An iteration's carry `c`, with its iterate `free` and its `start`, after the residual r of the size `error`.
 
     It looks at the other start, ends as `stop`, or is what `advance` makes of it.
