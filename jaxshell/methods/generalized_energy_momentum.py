@@ -130,7 +130,8 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         if data.damped is not None:
             material = material + damping.viscous_material(data.damped, factors, factors.alpha_f)
         # Λ_n, formed here: a step that keeps a factorization has no use for it.
-        at_start = corotational.gradient_to_global(*formed((corotational.deformation_gradient(data.start), data.start)))
+        gradient = formed(corotational.deformation_gradient(data.start))
+        at_start = formed(corotational.gradient_to_global(gradient, data.start))
         K = corotational.stiffness(  # eq. (97)
             kin,
             f,
