@@ -39,7 +39,7 @@ def test_forward_derivatives_are_those_of_the_branch():
 
 
 def test_a_run_copies_no_matrix_in_its_loops():
-    # Two copies of the factored matrix in every correction where the iteration branched by `jax.lax.cond`.
+    # Three places copied the factored matrix where runs and iterations branched by `jax.lax.cond`.
     scene = js.scenes.free_plate(divisions=(4, 3))
     entries = analyse(structure_of(scene))[1].indices.array.size
 

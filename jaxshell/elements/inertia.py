@@ -143,11 +143,6 @@ def _mid_point(theta, start: PointStart, factors: StepFactors, centrifugal: bool
     return rate, a
 
 
-def _averaged(theta, v, factors: StepFactors):
-    """A vector v of the start turned by the average of exp(~θ) and I at the mid-point."""
-    return factors.mid(rotations.turned(theta, v), v, factors.alpha_f)
-
-
 def point_inertia(
     theta, start: PointStart, factors: StepFactors, centrifugal: bool = True, alpha=None
 ) -> Float[Array, "3"]:
@@ -156,7 +151,8 @@ def point_inertia(
     With mass-proportional damping `alpha` [1/time], where it is not None, R (α I_ρ Ω) is added.
     """
     _, a = _mid_point(theta, start, factors, centrifugal, alpha)
-    return _averaged(theta, formed(a), factors)
+    a = formed(a)
+    return factors.mid(rotations.turned(theta, a), a, factors.alpha_f)
 
 
 def point_director(
@@ -167,8 +163,8 @@ def point_director(
     rate, _ = _mid_point(theta, start, factors, centrifugal=False)
     t, first, second = start.director, start.rate, start.acceleration
     acceleration = factors.mid_acceleration(theta, first, second, alpha)
-    change = cross(acceleration, t) + cross(rate, cross(rate, t))
-    return _averaged(theta, t, factors), _averaged(theta, change, factors)
+    averaged = factors.mid(rotations.exp(theta), jnp.eye(3), factors.alpha_f)
+    return product(averaged, t), product(averaged, cross(acceleration, t) + cross(rate, cross(rate, t)))
 
 
 def point_tangent(

@@ -53,6 +53,7 @@ def inertial_forces(
         uneven = scaled(element.area * element.first_moment, jnp.asarray(_POINTS_TO_NODES))
         force = force + product(uneven, changes)
         moment = moment + product(uneven, cross(directors, product(jnp.asarray(GAUSS_POINTS), acceleration)))
+    # Formed before and after: no entry of the stack makes them anew, and no sum over elements makes the stack anew.
     return formed(jnp.stack(formed([force, moment]), axis=1).reshape(18))
 
 
