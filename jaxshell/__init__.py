@@ -77,6 +77,7 @@ if TYPE_CHECKING:
     from jaxshell.model.surface import CylindricalSurface, FlatSurface, SphericalSurface, TwistedSurface
     from jaxshell.model.with_shape import with_shape
     from jaxshell.numerics.compiled import COMPILER_OPTIONS
+    from jaxshell.numerics.kernels import kernels
     from jaxshell.numerics.plane_stress import principal, von_mises
     from jaxshell.results.export.vtkhdf import VTKHDFWriter
     from jaxshell.results.failure import Strengths, failure_index, failure_index_of, ks
@@ -194,6 +195,7 @@ __all__ = [
     "failure_index",
     "failure_index_of",
     "gradients",
+    "kernels",
     "ks",
     "linear_buckling",
     "mass_properties",
@@ -303,6 +305,7 @@ _HOMES = {
     "analyses.simulation": ["simulate"],
     "results.sweep": ["Sweep"],
     "numerics.compiled": ["COMPILER_OPTIONS"],
+    "numerics.kernels": ["kernels"],
     "results.solution": ["RESULTS", "Energy", "Momentum", "Solution"],
     "analyses.statics": ["reactions", "solve_static"],
     "analyses.step_control": ["StepControl"],

@@ -21,6 +21,7 @@ from jaxshell.gradients import Gradients
 from jaxshell.methods.method import Method, Solvers
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import check_count, is_concrete
+from jaxshell.numerics.kernels import kernels_chosen
 from jaxshell.results.frames import Frames, StoredFrames
 from jaxshell.results.output import Output
 from jaxshell.results.penetration import warn_of_depth
@@ -166,6 +167,7 @@ class Log:
             "method": quote(plan.method),
             "newton": quote(plan.solvers.newton),
             "tangent": plan.solvers.tangent,
+            "kernels": kernels_chosen(),
             "save_every": plan.save_every,
             "reactions": plan.reactions,
             **(settings or {}),
@@ -219,6 +221,7 @@ class Log:
             newton=self.settings["newton"],
             linear_solver=type(self.plan.solvers.linear.solver).__name__,
             tangent=self.plan.solvers.tangent,
+            kernels=self.settings["kernels"],
             steps=record.time.size - 1,
             iterations=int(record.iterations.sum()),
             factorizations=int(record.factorizations.sum()),

@@ -35,6 +35,7 @@ from jaxshell.model.history import History
 from jaxshell.model.loads import DeadLoad
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.fusion import formed
+from jaxshell.numerics.kernels import each
 
 
 class Model(eqx.Module):
@@ -398,7 +399,7 @@ class Model(eqx.Module):
         def one(x, R, element):
             return corotational.strain_energy(corotational.kinematics(x, R, element).deformations, element)
 
-        total = jnp.sum(jax.vmap(one)(self.gather(x), self.gather(R), self.elements_at((1.0, time))))
+        total = jnp.sum(each(one)(self.gather(x), self.gather(R), self.elements_at((1.0, time))))
         return total + self.energy_of(self.elastic, x, R, time) if self.elastic else total
 
     def energy_of(self, actings: tuple[Acting, ...], x, R, time) -> Float[Array, ""]:
@@ -427,7 +428,7 @@ class Model(eqx.Module):
             def one(x, R, element):
                 return corotational.stresses(corotational.kinematics(x, R, element).deformations, element)
 
-            return jax.vmap(one)(self.gather(x), self.gather(R), self.elements_at((1.0, time)))
+            return each(one)(self.gather(x), self.gather(R), self.elements_at((1.0, time)))
 
         change = self.rest(after[2]) - self.rest(before[2])
         return -0.5 * jnp.sum(change * (stresses(*before) + stresses(*after))[:, :12])
@@ -435,6 +436,6 @@ class Model(eqx.Module):
     def internal_force(self, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"], time) -> Float[Array, "n 6"]:
         """Nodal internal forces and moments, eq. (70) assembled, and those of elastic contributions."""
         total = self.assemble_vector(
-            jax.vmap(corotational.internal_force)(self.gather(x), self.gather(R), self.elements_at((1.0, time)))
+            each(corotational.internal_force)(self.gather(x), self.gather(R), self.elements_at((1.0, time)))
         )
         return total - self.sum_of(self.elastic, x, R, time) if self.elastic else total

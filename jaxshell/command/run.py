@@ -10,6 +10,7 @@ from jaxshell.command.outputs import outputs, say_besides
 from jaxshell.command.run_settings import (
     arguments_of_simulate,
     chosen_methods,
+    kernels_of,
     one_thread_for_small_meshes,
     open_scene,
     required,
@@ -66,6 +67,12 @@ def _run(options: argparse.Namespace) -> int:
     if analysis != (of_file.analysis or "time"):
         stem = f"{stem}_{analysis.replace('-', '_')}"
     stem = stem if options.adapt is None else f"{stem}_adapted"
+    with kernels_of(settings):
+        return _run_on_mesh(options, settings, scene, stem)
+
+
+def _run_on_mesh(options: argparse.Namespace, settings, scene, stem: str) -> int:
+    """The run on the scene's mesh, or on one that is adapted first."""
     met = True
     if settings.adapts:
         try:
@@ -76,7 +83,7 @@ def _run(options: argparse.Namespace) -> int:
         except RuntimeError as error:
             print(f"jaxshell: the mesh was not adapted. {error}", file=sys.stderr)
             return 1
-    run = _run_in_time if analysis == "time" else run_analysis
+    run = _run_in_time if settings.analysis == "time" else run_analysis
     status = run(options, settings, scene, stem)
     return status if met else status or 1
 

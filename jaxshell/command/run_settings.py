@@ -185,6 +185,13 @@ def solvers_of(settings: RunSettings, newton=None) -> dict[str, Any]:
     }
 
 
+def kernels_of(settings: RunSettings):
+    """The context in which the settings' kernels are made. Raises ImportError where this machine cannot."""
+    from jaxshell.numerics.kernels import kernels
+
+    return kernels(settings.kernels or "xla")
+
+
 def _of(settings: RunSettings, prefix: str, skip: str = "") -> dict[str, Any]:
     """The keys with a prefix, without it."""
     said = {key.removeprefix(prefix): value for key, value in settings.said().items() if key.startswith(prefix)}

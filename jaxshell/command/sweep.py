@@ -196,5 +196,5 @@ class _Cases:
         if len(methods) > 1:
             raise ValueError("A member is run by one method: vary it, as in --vary run.method=EMC,exact.")
         how = arguments_of_simulate(settings)
-        solved = Options(how["newton"], how["tangent"], how["linear_solver"])
+        solved = Options(how["newton"], how["tangent"], how["linear_solver"], settings.kernels or "xla")
         return Case(scene, next(iter(methods.values())), how["dt"], required(settings, "t_end"), solved)

@@ -133,6 +133,9 @@ class RunSettings:
     reactions: bool | None = _key("switch", "record what the supports carry (default: no)")
     tangent: str | None = _key("choice", "default: closed_form", ("closed_form", "autodiff"), of=_STEPPED)
     linear_solver: str | None = _key("choice", "default: the quickest that this machine has", _SOLVERS, of=_STEPPED)
+    kernels: str | None = _key(
+        "choice", "what computes the elements; llvm needs llvmlite (default: xla)", ("xla", "llvm"), of=_STEPPED
+    )
     newton_tolerance: float | None = _key("number", "default: 1e-8; in statics 1e-12", metavar="TOL", of=_STEPPED)
     newton_max_iterations: int | None = _key(
         "count", "corrections allowed in a step (default: 25)", metavar="N", of=_STEPPED

@@ -22,6 +22,7 @@ from jaxshell.methods.predictor import extrapolate
 from jaxshell.methods.turning import turning
 from jaxshell.model.contribution import Constraint, Contribution, Place, Resisting, between
 from jaxshell.numerics.batching import one_by_one
+from jaxshell.numerics.kernels import each
 from jaxshell.numerics.rotations import H_inverse, exp
 from jaxshell.solvers.iteration import Memory, Problem
 from jaxshell.solvers.newton import attach_derivative
@@ -114,7 +115,7 @@ class ImplicitMethod(Method):
 
     def motion(self, state, u: Float[Array, "n 6"]) -> Motion:
         """Motion of all nodes."""
-        return jax.vmap(self.node_motion)(u, *self.configuration(state))
+        return each(self.node_motion)(u, *self.configuration(state))
 
     def balance(self, model: Model, state, begun, u: Float[Array, "n 6"]) -> Balance:
         """The residual of the step at the increments u: at the unknowns, see `jaxshell.assembly.elimination`."""
@@ -128,7 +129,7 @@ class ImplicitMethod(Method):
         """The same at every node."""
         data, step, loads = begun.data, begun.step, begun.loads
         motion, corners = self.motion(state, u), model.gather(u)
-        forces = jax.vmap(self.element_forces, in_axes=(0, 0, 0, None))(model.gather(motion), corners, data, step)
+        forces = each(self.element_forces, in_axes=(0, 0, 0, None))(model.gather(motion), corners, data, step)
         residual = model.assemble_vector(forces.elastic + forces.inertial) - loads
         residual, others = self._with_others(model, state, begun, motion, u, residual)
         parts = [(forces.elastic, corners), (forces.inertial, corners), (loads, u), *others]
@@ -157,7 +158,7 @@ class ImplicitMethod(Method):
         touched = model.tables.dependent.touched
         whole = model.gather(motion), model.gather(u), begun.data
         moved, corners, data = jax.tree.map(lambda a: a[touched], whole)
-        forces = jax.vmap(self.element_forces, in_axes=(0, 0, 0, None))(moved, corners, data, begun.step)
+        forces = each(self.element_forces, in_axes=(0, 0, 0, None))(moved, corners, data, begun.step)
         own = (forces.elastic + forces.inertial).reshape(-1, 3, 6)
         found = (-begun.loads).at[model.tables.triangles[touched]].add(own)
         return self._with_others(model, state, begun, motion, u, found)[0]
@@ -167,7 +168,7 @@ class ImplicitMethod(Method):
         data, step = begun.data, begun.step
         if tangent == "closed_form":
             motion = model.gather(self.motion(state, u))
-            return jax.vmap(self.element_tangent, in_axes=(0, 0, 0, None))(motion, model.gather(u), data, step)
+            return each(self.element_tangent, in_axes=(0, 0, 0, None))(motion, model.gather(u), data, step)
 
         def forces(u, x, R, data):
             u = u.reshape(3, 6)

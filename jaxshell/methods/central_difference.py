@@ -42,6 +42,7 @@ from jaxshell.model.contribution import Constraint
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import check_choice, check_number, is_concrete
 from jaxshell.numerics.compiled import compiled_once
+from jaxshell.numerics.kernels import each
 from jaxshell.numerics.products import dot
 from jaxshell.numerics.rotations import exp
 from jaxshell.solvers.iteration import SUCCESSFUL, UNSTABLE
@@ -284,7 +285,7 @@ def _internal(model: Model, x, R, time, before=None, dt=None) -> tuple[Float[Arr
         return force, energy, total
 
     elements = model.elements_at((1.0, time))
-    force, energy, deformations = jax.vmap(one)(model.gather(x), model.gather(R), elements, beta, before)
+    force, energy, deformations = each(one)(model.gather(x), model.gather(R), elements, beta, before)
     total, energy = model.assemble_vector(force), jnp.sum(energy)
     if model.elastic:
         total = total - model.sum_of(model.elastic, x, R, time)

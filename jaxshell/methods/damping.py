@@ -21,6 +21,7 @@ from jaxshell.elements import corotational, inertia
 from jaxshell.elements.corotational import Kinematics
 from jaxshell.elements.element import Element
 from jaxshell.elements.inertia import GAUSS_POINTS, GAUSS_WEIGHTS, LINEAR_MASS, Spins, StepFactors
+from jaxshell.numerics.kernels import each
 from jaxshell.numerics.products import dot
 
 
@@ -154,7 +155,7 @@ def turning_of_points(model: Model, u: Float[Array, "n 6"], spins: Spins) -> Any
 def deformations(model: Model, x: Float[Array, "n 3"], R: Float[Array, "n 3 3"]) -> Float[Array, "m d"]:
     """e of all elements."""
     x, R = model.gather((x, R))
-    return jax.vmap(lambda x, R, element: corotational.kinematics(x, R, element).deformations)(x, R, model.elements)
+    return each(lambda x, R, element: corotational.kinematics(x, R, element).deformations)(x, R, model.elements)
 
 
 def stretching(model: Model, x, R, v: Float[Array, "n 3"], omega: Float[Array, "n 3"]) -> Float[Array, "m d"]:
@@ -166,7 +167,7 @@ def stretching(model: Model, x, R, v: Float[Array, "n 3"], omega: Float[Array, "
         return rows @ jnp.concatenate([v, omega], axis=1).reshape(18)
 
     x, R, v, omega = model.gather((x, R, v, omega))
-    return jax.vmap(one)(x, R, v, omega, model.elements)
+    return each(one)(x, R, v, omega, model.elements)
 
 
 def viscous_force(model: Model, x, R, rates: Float[Array, "m d"]) -> Float[Array, "n 6"]:
@@ -179,7 +180,7 @@ def viscous_force(model: Model, x, R, rates: Float[Array, "m d"]) -> Float[Array
         return corotational.to_global(corotational.local_forces(kin, f), kin)
 
     x, R = model.gather((x, R))
-    return model.assemble_vector(jax.vmap(one)(x, R, rates, model.damping.beta, model.elements))
+    return model.assemble_vector(each(one)(x, R, rates, model.damping.beta, model.elements))
 
 
 def initial_force(model: Model, x, R, v, omega) -> Float[Array, "n 6"]:

@@ -25,6 +25,7 @@ from jaxshell.methods.start import initial_motion
 from jaxshell.methods.state import PredictedState
 from jaxshell.model.damping import Damping
 from jaxshell.numerics.checks import Real, check_choice, check_within
+from jaxshell.numerics.kernels import each
 from jaxshell.numerics.products import dot
 from jaxshell.numerics.rotations import cayley, skew
 
@@ -174,7 +175,7 @@ class EnergyMomentum(ImplicitMethod):
             return before + change - deformations(u)
 
         u_corners, last, x, R = model.gather((u, last, state.x, state.R))
-        data = begun.data._replace(excess=jax.vmap(excess)(u_corners, last, x, R, begun.data.element))
+        data = begun.data._replace(excess=each(excess)(u_corners, last, x, R, begun.data.element))
         return self.matrices(model, state, begun._replace(data=data), u, tangent)
 
     def start(self, model: Model, scene, time, solvers=None) -> EnergyMomentumState:
@@ -200,7 +201,7 @@ class EnergyMomentum(ImplicitMethod):
         motion = self._inertia.at_start(model.elements, R, v, W)
         elements = model.elements_at((0.5, state.time), (0.5, state.time + dt))  # one stress-free state for the step
         kin = jax.vmap(corotational.kinematics)(x, R, elements)
-        data = ElementData(elements, StepStart(jax.vmap(edges_of)(x), kin), motion, damping=model.damping)
+        data = ElementData(elements, StepStart(each(edges_of)(x), kin), motion, damping=model.damping)
         lumps = None if model.lumps is None else masses.exact_start(model.lumps, state.v, state.R, state.W)
         return Begun(data, Shared(dt, self.dissipation), middle(model.dead_load), state.time + dt, lumps)
 
@@ -216,7 +217,7 @@ class EnergyMomentum(ImplicitMethod):
             dissipated = dissipated + self._removed(model, data, step, u, motion)
         elif self._dissipates:
             x, R = model.gather((motion.x, motion.R))
-            kin = jax.vmap(corotational.kinematics)(x, R, data.element)
+            kin = each(corotational.kinematics)(x, R, data.element)
             change = kin.deformations - data.start.kin.deformations
             energies = jax.vmap(corotational.strain_energy)(change, model.elements)
             dissipated = dissipated + 2.0 * step.dissipation * jnp.sum(energies)
@@ -250,7 +251,7 @@ class EnergyMomentum(ImplicitMethod):
             return total
 
         u, x, R = model.gather((u, motion.x, motion.R))
-        return jnp.sum(jax.vmap(one)(u, x, R, data))
+        return jnp.sum(each(one)(u, x, R, data))
 
     def observe(self, model: Model, state: EnergyMomentumState) -> Observation:
         """Energies and momenta, eqs. (27), (28), (34), (61), with the masses that the scheme conserves them with."""

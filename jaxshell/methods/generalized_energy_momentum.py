@@ -9,7 +9,6 @@ matrices are no rotations.
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -26,6 +25,7 @@ from jaxshell.methods.start import initial_accelerations, initial_motion, linear
 from jaxshell.methods.state import PredictedState
 from jaxshell.numerics.checks import Real, check_choice, check_within
 from jaxshell.numerics.fusion import formed
+from jaxshell.numerics.kernels import each
 
 
 class GEMState(PredictedState):
@@ -200,7 +200,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
             spins = model.gather(state.spins)
         # One stress-free state for the step, weighted as the deformations are in eq. (93).
         elements = model.elements_at((1.0 - factors.alpha_f, end), (factors.alpha_f, start))
-        kin = jax.vmap(corotational.kinematics)(x, R, elements)
+        kin = each(corotational.kinematics)(x, R, elements)
         data = ElementData(elements, kin, v, a, R, spins, damped)
         lumps = masses.start(model.lumps, state.v, state.a, state.lumps)
         return Begun(data, Shared(factors, jnp.asarray(self.dissipation)), loads, end, lumps)
@@ -211,7 +211,7 @@ class GeneralizedEnergyMomentum(ImplicitMethod):
         if self.inertia == "seven_point":
             spins = seven_point.turned_spins(model, motion.theta, spins, factors)
         elif self.inertia == "traditional":
-            spins = jax.vmap(inertia.end_of_step, in_axes=(0, 0, None))(motion.theta, spins, factors)
+            spins = each(inertia.end_of_step, in_axes=(0, 0, None))(motion.theta, spins, factors)
         work = self.work_of_loads(model, state, begun, motion, u)
         taken = self.taken(model, state, begun, motion, u)
         if model.resisting:

@@ -21,6 +21,7 @@ from jaxshell.elements.inertia import (
     StepFactors,
 )
 from jaxshell.numerics.fusion import formed
+from jaxshell.numerics.kernels import each
 from jaxshell.numerics.products import cross, dot, product, scaled
 from jaxshell.numerics.rotations import exp, log, skew
 
@@ -121,12 +122,12 @@ def initial_spins(model: Model, R: Float[Array, "n 3 3"], omega: Float[Array, "n
         material = jnp.einsum("pij,pi->pj", turned, jnp.asarray(GAUSS_POINTS) @ omega)
         return Spins(turned, material, jnp.zeros_like(material))
 
-    return jax.vmap(points)(model.gather(R), model.gather(omega))
+    return each(points)(model.gather(R), model.gather(omega))
 
 
 def points_at_start(model: Model, spins: Spins) -> PointStart:
     """What the elements need of the spins (m, 7, ...) during a step."""
-    return jax.vmap(PointStart.of)(spins, model.elements.frame[:, 2])
+    return each(PointStart.of)(spins, model.elements.frame[:, 2])
 
 
 def turned_spins(model: Model, theta: Float[Array, "n 3"], spins: Spins, factors: StepFactors) -> Spins:
@@ -136,7 +137,7 @@ def turned_spins(model: Model, theta: Float[Array, "n 3"], spins: Spins, factors
         at_points = formed(product(jnp.asarray(GAUSS_POINTS), theta))
         return jax.vmap(inertia.end_of_step, (0, 0, None))(at_points, spins, factors)
 
-    return jax.vmap(points)(model.gather(theta), spins)
+    return each(points)(model.gather(theta), spins)
 
 
 def kinetic_and_momenta(model: Model, x: Float[Array, "n 3"], v: Float[Array, "n 3"], spins: Spins | None):

@@ -14,6 +14,7 @@ from jaxshell.analyses.driver import RESULT_NAMES, result_of
 from jaxshell.analyses.simulation import failure_message, simulate
 from jaxshell.analyses.sweep.member import Case, Member, Options, is_float, unnamed
 from jaxshell.numerics.compiled import compiled
+from jaxshell.numerics.kernels import kernels
 from jaxshell.results.quaternions import matrices_to_quaternions
 from jaxshell.results.solution import Solution
 from jaxshell.results.sweep import ENERGIES
@@ -53,6 +54,11 @@ def batch_of(members: Sequence[Member], rows: int) -> Batch:
 
 def run_batch(batch: Batch, quantities: Quantities, kept: Kept) -> dict[str, np.ndarray]:
     """Run all members; returns {what: (n, ...)} rows, with their `number`, `code`, `steps` and `message`."""
+    with kernels(batch.case.options.kernels):
+        return {"number": np.asarray(batch.numbers), **_run(batch, quantities, kept)}
+
+
+def _run(batch: Batch, quantities: Quantities, kept: Kept) -> dict[str, np.ndarray]:
     scene, method = unnamed(batch.case.scene), batch.case.method
     if batch.steps is None:
         found = [_controlled(batch, row, quantities, kept) for row in range(len(batch.numbers))]
@@ -65,7 +71,7 @@ def run_batch(batch: Batch, quantities: Quantities, kept: Kept) -> dict[str, np.
         outputs = jax.tree.map(lambda a: np.asarray(a)[: len(batch.numbers)], outputs)
         rows = _rows([label for label, _, _ in scene.watch], outputs, kept)
         rows["message"] = _messages(rows, batch.steps)
-    return {"number": np.asarray(batch.numbers), **rows}
+    return rows
 
 
 @compiled
@@ -76,7 +82,7 @@ def _program(example, leaves, steps, options: Options, quantities: dict, save_ev
     def one(own, steps):
         values = iter(own)
         scene, method = jax.tree.unflatten(tree, [next(values) if is_float(part) else part for part in parts])
-        solution = simulate(scene, method, dt=steps, save_every=save_every, throw=False, **options._asdict())
+        solution = simulate(scene, method, dt=steps, save_every=save_every, throw=False, **options.of_simulate())
         return _outputs(solution, quantities)
 
     return jax.vmap(one)([jnp.asarray(leaf) for leaf in leaves], jnp.asarray(steps))
@@ -99,8 +105,7 @@ def _controlled(batch: Batch, row: int, quantities: Quantities, kept: Kept) -> d
     case, values = batch.case, iter([leaf[row] for leaf in batch.leaves])
     parts, tree = jax.tree.flatten((unnamed(case.scene), case.method))
     scene, method = jax.tree.unflatten(tree, [jnp.asarray(next(values)) if is_float(p) else p for p in parts])
-    options = case.options._asdict()
-    solution = simulate(scene, method, dt=case.dt, t_end=case.t_end, throw=False, **options)
+    solution = simulate(scene, method, dt=case.dt, t_end=case.t_end, throw=False, **case.options.of_simulate())
     outputs = jax.tree.map(lambda a: np.asarray(a)[None], _outputs(solution, quantities))
     rows = {name: value[0] for name, value in _rows([label for label, _, _ in scene.watch], outputs, kept).items()}
     return {**rows, "message": np.asarray(solution.message, object)}

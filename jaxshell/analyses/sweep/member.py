@@ -19,11 +19,16 @@ from jaxshell.solvers.newton import Newton
 
 
 class Options(NamedTuple):
-    """How a member is solved, as `simulate` takes it."""
+    """How a member is solved."""
 
     newton: Newton
     tangent: str = "closed_form"
     linear_solver: LinearSolver | None = None
+    kernels: str = "xla"
+
+    def of_simulate(self) -> dict[str, Any]:
+        """As `simulate` takes them."""
+        return {"newton": self.newton, "tangent": self.tangent, "linear_solver": self.linear_solver}
 
 
 class Case(NamedTuple):
@@ -63,7 +68,7 @@ def prepared(number: int, case: Case) -> Member:
     method.check(scene, steps)
     leaves, fixed, tree = _apart(scene, method)
     shapes = tuple(leaf.shape for leaf in leaves)
-    solved = quote(options.newton), options.tangent, repr(options.linear_solver)
+    solved = quote(options.newton), options.tangent, repr(options.linear_solver), options.kernels
     structure = tree, fixed, shapes, quote(dt) if controlled else len(steps), solved
     return Member(number, case, None if controlled else steps, leaves, structure)
 

@@ -23,6 +23,7 @@ from jaxshell.analyses.sweep.member import Case, CaseOf, Member, Options, prepar
 from jaxshell.analyses.sweep.varied import varied
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import check_count, check_finite, require_float64, shown
+from jaxshell.numerics.kernels import kernels_chosen
 from jaxshell.results.sweep import REFUSED, SUCCESSFUL, Sweep
 from jaxshell.results.sweep_file import SweepWriter, check_replaceable, placed, rows_of, sweep_of
 from jaxshell.solvers.newton import Newton
@@ -88,7 +89,7 @@ def sweep(
         raise ValueError(f"vary must be {{name: values}}, but it is {shown(vary)}.")
     make, values = maker(scene, vary)
     plan = design({name: varied(name, given) for name, given in values.items()}, sample, seed)
-    options = Options(Newton() if newton is None else newton, tangent, linear_solver)
+    options = Options(Newton() if newton is None else newton, tangent, linear_solver, kernels_chosen())
     functions: dict[str, Any] = {"scene": make, "method": method, "dt": dt, "t_end": t_end}
     check_used(functions, plan)
 
