@@ -42,6 +42,7 @@ COMMON = {
     "reactions": True,
     "tangent": "autodiff",
     "linear_solver": "dense",
+    "kernels": "llvm",
     "newton_tolerance": 1e-6,
     "newton_max_iterations": 20,
     "newton_max_rotation": 0.2,
@@ -72,7 +73,7 @@ RUNS = {
     "central": {"method": ("CentralDifference",), "safety": 0.5, "rotary": "scaled", "dt": 1e-5, "t_end": 3e-5},
 }
 
-SOLVED = {key: COMMON[key] for key in COMMON if key.startswith("newton_") or key in ("tangent", "linear_solver")}
+SOLVED = {key: COMMON[key] for key in COMMON if key.startswith("newton_") or key in ("tangent", "linear_solver", "kernels")}
 ANALYSES = {
     "static": SOLVED | {"load_factors": (0.5, 2.0), "branch": "follow", "save_every": 2},
     "static, adapted": SOLVED | {"analysis": "static", "load_factors": (0.5,), "adapt": 0.2, "goal": "tip"},

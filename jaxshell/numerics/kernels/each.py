@@ -88,12 +88,16 @@ def _by_kernel(function: Callable, arguments: tuple, axes: tuple[int | None, ...
 
 def _closed(closed: ClosedJaxpr) -> tuple[ClosedJaxpr, list]:
     """Traced values that a function closes over as its first arguments, and they; numbers stay, to be folded."""
-    jaxpr, traced, kept = closed.jaxpr, [], []
-    for variable, value in zip(jaxpr.constvars, closed.consts, strict=True):
-        (traced if isinstance(value, jax.core.Tracer) else kept).append((variable, value))
-    invars = [*(variable for variable, _ in traced), *jaxpr.invars]
-    jaxpr = jaxpr.replace(constvars=[variable for variable, _ in kept], invars=invars, debug_info=None)
-    return ClosedJaxpr(jaxpr, [value for _, value in kept]), [value for _, value in traced]
+    traced = [value for value in closed.consts if isinstance(value, jax.core.Tracer)]
+    if not traced:
+        return closed, traced
+
+    def function(values, *arguments):
+        given = iter(values)
+        consts = [next(given) if isinstance(value, jax.core.Tracer) else value for value in closed.consts]
+        return jaxpr_as_fun(ClosedJaxpr(closed.jaxpr, consts))(*arguments)
+
+    return jax.make_jaxpr(function)([value.aval for value in traced], *closed.in_avals), traced
 
 
 def _fits(aval, is_own: bool) -> bool:

@@ -99,7 +99,7 @@ def kernel_of(closed: ClosedJaxpr, mapped: tuple[bool, ...]) -> str:
 
 def _loaded(machine: Machine, name: str, text: str):
     """The machine code in memory: out of the folder where JAX keeps compiled programs, or compiled and kept there."""
-    llvm, folder = machine.llvm, jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    llvm, folder = machine.llvm, jax.config.values["jax_compilation_cache_dir"]
     path = Path(folder) / f"{name}.o" if folder and Path(folder).is_dir() else None
     target = llvm.Target.from_default_triple().create_target_machine(
         cpu=machine.processor, features=machine.features, opt=2

@@ -29,10 +29,19 @@ def _constant(*values) -> bool:
     return not any(isinstance(v, Vector) for v in values)
 
 
+_OF_TRUTHS = {"oeq": "eq", "une": "ne"}
+
+
 def _compare(condition: str, of_constants: Callable) -> Callable:
     def compared(code, a, b):
         if _constant(a, b):
             return bool(of_constants(a, b))
+        if any(isinstance(v, Vector) and v.is_truth for v in (a, b)):
+            if condition not in _OF_TRUTHS:
+                raise Unsupported("an order of truths")
+            return code.made(
+                f"icmp {_OF_TRUTHS[condition]} {code.truths} {code.text(a)}, {code.text(b)}", is_truth=True
+            )
         return code.made(f"fcmp {condition} {code.vector} {code.text(a)}, {code.text(b)}", is_truth=True)
 
     return _on_entries(compared)
@@ -181,10 +190,6 @@ def _unstack(code, eqn, array):
     return [np.asarray(array.take(k, axis), dtype=object) for k in range(array.shape[axis])]
 
 
-def _negated(code, value):
-    return -value
-
-
 def _not(code, value):
     return not value if _constant(value) else code.made(f"xor {code.truths} {value.name}, splat (i1 true)", True)
 
@@ -230,6 +235,7 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "stack": lambda code, eqn, *arrays: np.stack(arrays, axis=eqn.params["axis"]),
     "unstack": _unstack,
     "split": _split,
+    "tile": lambda code, eqn, a: np.tile(a, eqn.params["reps"]),
     "iota": _iota,
     "optimization_barrier": lambda code, eqn, *arrays: list(arrays),
     "stop_gradient": lambda code, eqn, a: a,
