@@ -21,7 +21,9 @@ def main() -> int:
     for script, arguments in (
         ("harness.py", peers),
         ("cold_start.py", []),
+        ("kernels.py", []),
         ("scaling.py", []),
+        ("scaling.py", ["--kernels", "llvm"]),
         ("limits.py", []),
         ("way_back.py", []),
         ("joints.py", []),

@@ -30,6 +30,8 @@ TOLERANCE = 1e-8
 JAXSHELL = {
     "jaxshell EMC": {"method": "GeneralizedEnergyMomentum"},
     "jaxshell exact": {"method": "EnergyMomentum"},
+    "jaxshell EMC, kernels by LLVM": {"method": "GeneralizedEnergyMomentum", "kernels": "llvm"},
+    "jaxshell exact, kernels by LLVM": {"method": "EnergyMomentum", "kernels": "llvm"},
     "jaxshell Newmark": {"method": "Newmark"},
     "jaxshell EMC, full Newton": {"method": "GeneralizedEnergyMomentum", "newton": {"reuse": False}},
     "jaxshell exact, full Newton": {"method": "EnergyMomentum", "newton": {"reuse": False}},

@@ -20,6 +20,11 @@ from benchmarks.cases import SCENES  # noqa: E402
 
 
 def run(request: dict) -> dict:
+    with js.kernels(request.get("kernels", "xla")):
+        return simulated(request)
+
+
+def simulated(request: dict) -> dict:
     divisions = request.get("divisions")
     divisions = tuple(divisions) if isinstance(divisions, list) else divisions
     make = SCENES[request["scene"]]

@@ -33,6 +33,7 @@ from jaxshell.assembly.discretised import Model  # noqa: E402
 from jaxshell.assembly.structure import structure_of  # noqa: E402
 from jaxshell.assembly.tables import analyse  # noqa: E402
 from jaxshell.numerics.compiled import COMPILER_OPTIONS  # noqa: E402
+from jaxshell.numerics.kernels import each  # noqa: E402
 from jaxshell.solvers.linear_solver import default_solver  # noqa: E402
 
 PAGE = Path(__file__).parent.parent / "docs" / "performance.md"
@@ -101,10 +102,13 @@ def measure(scene, method, rate):
     corners = model.gather(method.motion(state, u)), model.gather(u)
 
     def elements(function):
-        return lambda motion, u, data: jax.vmap(function, in_axes=(0, 0, 0, None))(motion, u, data, step)
+        return lambda motion, u, data: each(function, in_axes=(0, 0, 0, None))(motion, u, data, step)
 
     forces, residual, residual_flops = part(elements(method.element_forces), *corners, data)
     matrices, tangent, tangent_flops = part(elements(method.element_tangent), *corners, data)
+    with js.kernels("llvm"):
+        _, residual_llvm, _ = part(elements(method.element_forces), *corners, data)
+        _, tangent_llvm, _ = part(elements(method.element_tangent), *corners, data)
     _, vector, _ = part(lambda model, f: model.free(model.assemble_vector(f)), model, forces.elastic)
     values, scatter, _ = part(lambda model, K: model.assemble_matrix(K), model, matrices)
     solver = default_solver()
@@ -115,21 +119,23 @@ def measure(scene, method, rate):
     flops = factorization_flops(pattern, np.asarray(values))
     own, again = residual + vector + tangent + scatter + factor, residual + vector + solve
     return [
-        *(f"{1e6 * seconds / m:.2f}" for seconds in (residual, tangent)),
+        *(f"{1e6 * seconds / m:.2f}" for seconds in (residual, residual_llvm, tangent, tangent_llvm)),
         f"{1e3 * factor:.2f}",
         f"{1e3 * solve:.2f}",
         f"{100 * (vector + scatter) / own:.0f} %, {100 * vector / again:.0f} %",
         *(f"{100 * count / seconds / rate:.0f} %"
-          for count, seconds in ((residual_flops, residual), (tangent_flops, tangent), (flops, factor))),
+          for count, seconds in ((residual_flops, residual), (residual_flops, residual_llvm),
+                                 (tangent_flops, tangent), (tangent_flops, tangent_llvm), (flops, factor))),
     ]  # fmt: skip
 
 
 def main() -> None:
     rate = dgemm_rate()
     header = [
-        "scene, method", "residual, µs/element", "tangent, µs/element", "factor and solve, ms", "substitution, ms",
+        "scene, method", "residual, µs/element", "by LLVM", "tangent, µs/element", "by LLVM", "factor and solve, ms",
+        "substitution, ms",
         "assembly in an iteration with its own factorization, with a kept one",
-        "residual of dgemm", "tangent of dgemm", "factorization of dgemm",
+        "residual of dgemm", "by LLVM", "tangent of dgemm", "by LLVM", "factorization of dgemm",
     ]  # fmt: skip
     rows = []
     for scene in SCENES:

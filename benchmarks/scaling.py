@@ -27,15 +27,18 @@ def main(arguments=None) -> int:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--method", default="GeneralizedEnergyMomentum")
-    parser.add_argument("--output", type=Path, default=HERE / "results" / "scaling.json")
+    parser.add_argument("--kernels", choices=("xla", "llvm"), default="xla")
+    parser.add_argument("--output", type=Path, help="default: results/scaling.json, or scaling_llvm.json")
     options = parser.parse_args(arguments)
+    if options.output is None:
+        options.output = HERE / "results" / ("scaling.json" if options.kernels == "xla" else "scaling_llvm.json")
     found = {"machine": machine(), "method": options.method, "steps": options.steps, "results": []}
     for threads in options.threads:
         for divisions in options.divisions:
             worker = Worker("jaxshell", threads, elements=2 * divisions**2)
             request = {
                 "scene": "cap", "divisions": divisions, "method": options.method, "dt": 2e-6,
-                "steps": options.steps, "tolerance": 1e-8, "save_every": options.steps,
+                "steps": options.steps, "tolerance": 1e-8, "save_every": options.steps, "kernels": options.kernels,
             }  # fmt: skip
             first = worker(**request)
             runs = [worker(**request) for _ in range(options.rounds)]

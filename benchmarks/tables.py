@@ -56,10 +56,30 @@ def scaling(found: dict) -> str:
 
 
 def cold_start(found: dict) -> str:
-    return (
-        f"{machine_line(found)}\n\n`{found['command']}`: {found['cold_seconds']} s with an empty compilation "
-        f"cache, {found['warm_seconds']} s with a full one."
+    return "\n\n".join(
+        [
+            machine_line(found),
+            *(
+                f"`{run['command']}`: {run['cold_seconds']} s with an empty compilation cache, {run['warm_seconds']} s "
+                "with a full one."
+                for run in found["runs"]
+            ),
+        ]
     )
+
+
+def kernels(found: dict) -> str:
+    lines = [
+        "| scene, method | XLA, ms/step | LLVM, ms/step | times quicker | first call, XLA, s | LLVM, s |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, (xla, llvm) in found["results"].items():
+        ratio = xla["ms_per_step"] / llvm["ms_per_step"]
+        lines.append(
+            f"| {name} | {xla['ms_per_step']:.3f} | {llvm['ms_per_step']:.3f} | {ratio:.2f} "
+            f"| {xla['first_call_seconds']:.1f} | {llvm['first_call_seconds']:.1f} |"
+        )
+    return "\n".join([machine_line(found), "", *lines])
 
 
 def to_one_percent(results: Path) -> str:
@@ -104,7 +124,8 @@ def main() -> int:
     results = HERE / "results"
     tables = {}
     for name, make in (
-        ("speed", speed), ("scaling", scaling), ("cold_start", cold_start), ("references", references)
+        ("speed", speed), ("scaling", scaling), ("scaling_llvm", scaling), ("cold_start", cold_start),
+        ("references", references), ("kernels", kernels),
     ):  # fmt: skip
         file = results / f"{name}.json"
         if file.is_file():

@@ -110,7 +110,7 @@ def test_page_has_a_place_for_every_table(tmp_path, monkeypatch):
     monkeypatch.setattr(tables, "PAGE", page)
     assert tables.main() == 0
     text = page.read_text(encoding="utf-8")
-    for name in ("speed", "scaling", "cold_start", "references", "to_one_percent"):
+    for name in ("speed", "scaling", "scaling_llvm", "kernels", "cold_start", "references", "to_one_percent"):
         assert f"<!-- {name} -->" in text and f"<!-- end {name} -->" in text
     assert "| cap | 0.00025 of 0.00025 |" in text
 

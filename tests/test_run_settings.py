@@ -73,7 +73,9 @@ RUNS = {
     "central": {"method": ("CentralDifference",), "safety": 0.5, "rotary": "scaled", "dt": 1e-5, "t_end": 3e-5},
 }
 
-SOLVED = {key: COMMON[key] for key in COMMON if key.startswith("newton_") or key in ("tangent", "linear_solver", "kernels")}
+SOLVED = {
+    key: COMMON[key] for key in COMMON if key.startswith("newton_") or key in ("tangent", "linear_solver", "kernels")
+}
 ANALYSES = {
     "static": SOLVED | {"load_factors": (0.5, 2.0), "branch": "follow", "save_every": 2},
     "static, adapted": SOLVED | {"analysis": "static", "load_factors": (0.5,), "adapt": 0.2, "goal": "tip"},
