@@ -161,6 +161,13 @@ def test_what_has_no_kernel_stays_with_xla(function, arguments):
         agree(each(function)(*arguments), jax.vmap(function)(*arguments))  # without a program
 
 
+def test_what_all_share_is_little():
+    a, s = values(WIDTH, 3), values(65)
+    with js.kernels("llvm"):
+        text = jax.jit(each(lambda a, s: a * jnp.sum(s), (0, None))).lower(a, s).as_text()
+    assert "jaxshell_" not in text
+
+
 def test_a_number_that_is_not_finite_shows():
     a = values(WIDTH + 1, 3)
     a[2, 1] = np.nan
@@ -188,6 +195,15 @@ def test_another_name_is_refused_and_llvmlite_is_asked_for(monkeypatch):
         js.kernels("llvm")
     with js.kernels("xla"):
         pass
+
+
+def test_calls_of_another_version_are_refused(monkeypatch, tmp_path):
+    machine._version_of_calls.cache_clear()
+    (tmp_path / "xla/ffi/api").mkdir(parents=True)
+    (tmp_path / "xla/ffi/api/c_api.h").write_text("#define XLA_FFI_API_MAJOR 1\n#define XLA_FFI_API_MINOR 0\n")
+    monkeypatch.setattr(jax.ffi, "include_dir", lambda: str(tmp_path))
+    with pytest.raises(RuntimeError, match="version 0, but this jaxlib has version 1"):
+        js.kernels("llvm")
 
 
 def test_machine_code_is_kept_with_compiled_programs(tmp_path, monkeypatch):

@@ -16,6 +16,8 @@ from jaxshell.numerics.kernels.code import Unsupported
 from jaxshell.numerics.kernels.machine import kernel_of, require_llvm, this_machine
 
 KERNELS = ("xla", "llvm")
+_MOST_SHARED = 64
+"""Numbers that elements may share: each of them is a vector of its own."""
 _chosen = jax.make_user_context("xla")
 
 
@@ -27,7 +29,8 @@ def kernels(by: str):
     of one element; results agree to round-off. They take llvmlite, `pip install 'jaxshell[llvm]'`. What has no
     straight-line form, what has fewer elements than a vector has numbers, and all that runs on no CPU stays with XLA.
 
-    Raises ValueError for another name, ImportError where there is no llvmlite.
+    Raises ValueError for another name, ImportError where there is no llvmlite, RuntimeError where XLA's calls are of a
+    version that is not known here.
     """
     check_choice("kernels", by, KERNELS)
     if by == "llvm":
@@ -64,6 +67,8 @@ def _by_kernel(function: Callable, arguments: tuple, axes: tuple[int | None, ...
     # Plain numbers stay in the program's text.
     given = [k for k, leaf in enumerate(everything) if not isinstance(leaf, int | float)]
     leaves, own = [jnp.asarray(everything[k]) for k in given], [own[k] for k in given]
+    if sum(leaf.size for leaf, is_own in zip(leaves, own, strict=True) if not is_own) > _MOST_SHARED:
+        return None
     counts = {leaf.shape[0] for leaf, is_own in zip(leaves, own, strict=True) if is_own}
     if len(counts) != 1 or min(counts) < this_machine().width:
         return None
@@ -198,7 +203,8 @@ def _pulled(cotangents, *arguments, jaxpr: ClosedJaxpr, mapped):
 
 _each.def_impl(lambda *arguments, **how: jax.jit(partial(_each.bind, **how))(*arguments))
 _each.def_abstract_eval(_shapes)
-mlir.register_lowering(_each, _lowered)
+mlir.register_lowering(_each, mlir.lower_fun(_by_xla))
+mlir.register_lowering(_each, _lowered, platform="cpu")
 batching.primitive_batchers[_each] = _batched
 ad.primitive_jvps[_each] = _pushed
 ad.primitive_transposes[_each] = _pulled

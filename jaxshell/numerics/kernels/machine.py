@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import jax
 from jax.extend.core import ClosedJaxpr
 
-from jaxshell.numerics.kernels.code import Unsupported
 from jaxshell.numerics.kernels.handler import handler_text
 
 _compiled: dict[str, Any] = {}  # what holds machine code in memory, by the kernel's name
@@ -32,13 +31,14 @@ class Machine(NamedTuple):
 
 
 def require_llvm() -> None:
-    """Raise ImportError where kernels cannot be compiled."""
+    """Raise ImportError where kernels cannot be compiled, RuntimeError where XLA could not call them."""
     try:
         this_machine()
     except ImportError as error:
         raise ImportError(
-            "Kernels by LLVM need llvmlite: pip install 'jaxshell[llvm]', or leave kernels at 'xla'."
+            "Kernels by LLVM need llvmlite: pip install 'jaxshell[llvm]', or leave kernels at \"xla\"."
         ) from error
+    _version_of_calls()
 
 
 @cache
@@ -75,7 +75,10 @@ def _version_of_calls() -> tuple[int, int]:
     found = [re.search(rf"#define XLA_FFI_API_{which} (\d+)", header) for which in ("MAJOR", "MINOR")]
     major, minor = (int(f[1]) if f else -1 for f in found)
     if major != 0:
-        raise Unsupported(f"XLA's calls of version {major}.{minor}")
+        raise RuntimeError(
+            f"Kernels by LLVM know XLA's calls of version 0, but this jaxlib has version {major}: leave kernels at "
+            '"xla".'
+        )
     return major, minor
 
 
