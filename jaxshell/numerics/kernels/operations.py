@@ -49,6 +49,8 @@ def _compare(condition: str, of_constants: Callable) -> Callable:
 
 def _logical(operation: str, of_constants: Callable) -> Callable:
     def combined(code, a, b):
+        if any(not (v.is_truth if isinstance(v, Vector) else isinstance(v, bool)) for v in (a, b)):
+            raise Unsupported(f"{operation} of bits")
         if _constant(a, b):
             return bool(of_constants(a, b))
         return code.made(f"{operation} {code.truths} {code.text(a)}, {code.text(b)}", is_truth=True)
@@ -65,7 +67,9 @@ def _call(function: str, of_constants: Callable) -> Callable:
     return _on_entries(called)
 
 
-def _select(code, which, first, second):
+def _select(code, which, first, second=None, *others):
+    if second is None or others:
+        raise Unsupported("a choice of other than two")
     if _constant(which):
         return second if which else first
     if _constant(first, second) and first == second:
@@ -101,8 +105,8 @@ def _converted(code, eqn, array):
             return to.type(value).item()
         if value.is_truth:
             return value if to.kind == "b" else _select(code, value, 0.0, 1.0)
-        if to.kind != "f" and eqn.invars[0].aval.dtype.kind == "f":
-            raise Unsupported("floats made whole numbers")
+        if to != np.float64 and eqn.invars[0].aval.dtype.kind == "f":
+            raise Unsupported(f"floats made {to}")
         return value
 
     return np.asarray(np.frompyfunc(entry, 1, 1)(array), dtype=object)
@@ -190,7 +194,15 @@ def _unstack(code, eqn, array):
     return [np.asarray(array.take(k, axis), dtype=object) for k in range(array.shape[axis])]
 
 
+def _quotient(code, eqn, a, b):
+    if eqn.outvars[0].aval.dtype.kind != "f":
+        raise Unsupported("a quotient of whole numbers")
+    return a / b
+
+
 def _not(code, value):
+    if not (value.is_truth if isinstance(value, Vector) else isinstance(value, bool)):
+        raise Unsupported("not of bits")
     return not value if _constant(value) else code.made(f"xor {code.truths} {value.name}, splat (i1 true)", True)
 
 
@@ -199,7 +211,7 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "add_any": lambda code, eqn, a, b: a + b,
     "sub": lambda code, eqn, a, b: a - b,
     "mul": lambda code, eqn, a, b: a * b,
-    "div": lambda code, eqn, a, b: a / b,
+    "div": _quotient,
     "neg": lambda code, eqn, a: -a,
     "square": lambda code, eqn, a: a * a,
     "integer_pow": _power,
