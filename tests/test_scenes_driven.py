@@ -143,7 +143,9 @@ def test_the_shaken_plate_moves_as_the_oscillator_of_theory():
     scene = scenes.shaken_plate()
     beam = dataclasses.replace(scene, section=js.Section(0.002, 70e9, 0.0, 2700.0))
     for shaken, of_history, of_peak in ((beam, 0.01, 0.01), (scene, None, 0.02)):
-        run = js.simulate(shaken, js.EnergyMomentum(), dt=1e-3, t_end=0.4, save_every=100, newton=TIGHT)
+        # Corrections with kept factors end where rounding does, which on some processors leaves 1e-10 of the energy.
+        newton = js.Newton(tolerance=1e-13, reuse=False)
+        run = js.simulate(shaken, js.EnergyMomentum(), dt=1e-3, t_end=0.4, save_every=100, newton=newton)
         found = np.asarray(run.watched["tip"] - run.watched["base"])
         base = 20.0 * np.asarray(scene.supports[0].history(run.times))
         theory = relative_motion_of_theory(np.asarray(run.times), base, 0.02, 5e-4)
@@ -151,4 +153,4 @@ def test_the_shaken_plate_moves_as_the_oscillator_of_theory():
         print(f"peak {np.abs(found).max() / peak - 1:+.2%}, history {np.abs(found - theory).max() / peak:.2%}")
         assert np.abs(found).max() == pytest.approx(peak, rel=of_peak)
         assert of_history is None or np.abs(found - theory).max() < of_history * peak
-        assert left(run) < 1e-10
+        assert left(run) < 1e-11

@@ -1,6 +1,7 @@
 """A scene's elements: each from its nodes, its section, and the surface that it stands for."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -30,7 +31,7 @@ def build_elements(
     elements, normals = _elements(scene, corners, resultants, build)
     if not bends_mass:
         return elements
-    masses = each(mass_of)(elements, normals)
+    masses = jax.vmap(mass_of)(elements, normals)
     return eqx.tree_at(lambda e: e.mass, elements, masses, is_leaf=lambda leaf: leaf is None)
 
 
@@ -42,7 +43,7 @@ def _elements(scene: Scene, corners: Float[Array, "m 3 3"], resultants: Resultan
     curved, relaxed = (_chosen(shapes == SHAPES.index(shape)) for shape in ("curved", "relaxed"))
     # Of the nodes, not of the surface that the mesh may remember: nodes may have been moved off it.
     normals = corner_normals(mesh.nodes, Edges(mesh.triangles), groups=region_of_elements(scene.section, mesh)).normals
-    elements = each(build)(corners, resultants, Tangents(normals, curved, relaxed))
+    elements = jax.vmap(build)(corners, resultants, Tangents(normals, curved, relaxed))
     if curved is None:
         return elements, None
     return elements, jnp.where(curved[:, None, None] > 0, normals, elements.frame[:, None, 2])

@@ -67,8 +67,6 @@ def _by_kernel(function: Callable, arguments: tuple, axes: tuple[int | None, ...
     # Plain numbers stay in the program's text.
     given = [k for k, leaf in enumerate(everything) if not isinstance(leaf, int | float)]
     leaves, own = [jnp.asarray(everything[k]) for k in given], [own[k] for k in given]
-    if sum(leaf.size for leaf, is_own in zip(leaves, own, strict=True) if not is_own) > _MOST_SHARED:
-        return None
     counts = {leaf.shape[0] for leaf, is_own in zip(leaves, own, strict=True) if is_own}
     if len(counts) != 1 or min(counts) < this_machine().width:
         return None
@@ -83,6 +81,8 @@ def _by_kernel(function: Callable, arguments: tuple, axes: tuple[int | None, ...
     closed, shape = jax.make_jaxpr(of_one, return_shape=True)(*one)
     closed, traced = _closed(closed)
     mapped = (*[False] * len(traced), *own)
+    if sum(aval.size for aval, is_own in zip(closed.in_avals, mapped, strict=True) if not is_own) > _MOST_SHARED:
+        return None
     if not all(_fits(aval, is_own) for aval, is_own in zip(closed.in_avals, mapped, strict=True)):
         return None
     if not all(_fits(aval, True) for aval in closed.out_avals):
