@@ -1,4 +1,4 @@
-"""Time and memory of gradients and batches: `python benchmarks/gradients.py [gradient] [memory] [batch]`.
+"""Time and memory of gradients and batches: `python benchmarks/gradients.py [gradient [xla] [llvm]] [memory] [batch]`.
 
 gradient: value and gradient with respect to 960 thicknesses of the opened cap over 100 and 500 steps, against the
           plain run, by kernels of XLA's and of LLVM's.
@@ -57,7 +57,7 @@ def deflection(scene, method, dt, steps, gradients=None):
 
 
 def gradient():
-    for kernels in ("xla", "llvm"):
+    for kernels in [name for name in ("xla", "llvm") if name in sys.argv[1:]] or ["xla", "llvm"]:
         for steps in (100, 500):
             with js.kernels(kernels):
                 gradient_of(steps, kernels)
