@@ -1,8 +1,8 @@
 """Kernels by XLA and by LLVM side by side: `python benchmarks/kernels.py`.
 
 One core. Every scene and method by both, each in a process of its own, asked in turn; medians of the rounds. The first
-call compiles, and is of a process that has compiled nothing. Explicit steps are the largest that are stable. Writes
-benchmarks/results/kernels.json, whose table tables.py puts into docs/performance.md.
+call compiles, and is of a process that has compiled nothing. Explicit steps are 99 % of the largest that are
+allowed. Writes benchmarks/results/kernels.json, whose table tables.py puts into docs/performance.md.
 """
 
 import argparse

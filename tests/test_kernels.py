@@ -194,7 +194,7 @@ def test_another_name_is_refused_and_llvmlite_is_asked_for(monkeypatch):
         js.kernels("gcc")
     machine.this_machine.cache_clear()
     monkeypatch.setitem(sys.modules, "llvmlite", None)
-    with pytest.raises(ImportError, match=r"pip install 'jaxshell\[llvm\]'"):
+    with pytest.raises(ImportError, match="pip install llvmlite"):
         js.kernels("llvm")
     with js.kernels("xla"):
         pass
@@ -320,8 +320,8 @@ def test_tangents_by_differentiation_too(monkeypatch):
 
 
 @pytest.mark.slow
-def test_energy_and_momenta_are_conserved_as_by_xla():
-    """A free plate that flies and bends: energy, momenta within round-off, see docs/energy_momentum.md."""
+def test_energy_is_conserved_as_by_xla():
+    """A free plate that flies and bends: energy less the work of its loads."""
     scene = js.scenes.free_plate((12, 2))
     with js.kernels("llvm"):
         run = js.simulate(scene, js.EnergyMomentum(), dt=1e-3, t_end=0.2, newton=js.Newton(1e-12), save_every=200)

@@ -8,8 +8,6 @@ import math
 import struct
 from collections.abc import Sequence
 
-import numpy as np
-
 
 class Unsupported(Exception):
     """What has no straight-line form: the function then stays with XLA."""
@@ -83,7 +81,7 @@ class Code:
         """A vector's name, or a constant."""
         if isinstance(value, Vector):
             return value.name
-        if isinstance(value, bool | np.bool_):
+        if isinstance(value, bool):
             return f"splat (i1 {'true' if value else 'false'})"
         return f"splat (double 0x{struct.unpack('>Q', struct.pack('>d', float(value)))[0]:016X})"
 

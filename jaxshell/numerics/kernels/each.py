@@ -15,7 +15,7 @@ from jaxshell.numerics.checks import check_choice
 from jaxshell.numerics.kernels.code import Unsupported
 from jaxshell.numerics.kernels.machine import kernel_of, require_llvm, this_machine
 
-KERNELS = ("xla", "llvm")
+_KERNELS = ("xla", "llvm")
 _MOST_SHARED = 64
 """Numbers that elements may share: each of them is a vector of its own."""
 _chosen = jax.make_user_context("xla")
@@ -26,13 +26,13 @@ def kernels(by: str):
 
     `with jaxshell.kernels("llvm"): ...` holds for what is compiled in it, gradients included: programs that were
     compiled outside are compiled again. LLVM's kernels are straight-line code for vectors, made from the same functions
-    of one element; results agree to round-off. They take llvmlite, `pip install 'jaxshell[llvm]'`. What has no
+    of one element; results agree to round-off. They take llvmlite (`pip install llvmlite`). What has no
     straight-line form, what has fewer elements than a vector has numbers, and all that runs on no CPU stays with XLA.
 
     Raises ValueError for another name, ImportError where there is no llvmlite, RuntimeError where XLA's calls are of a
     version that is not known here.
     """
-    check_choice("kernels", by, KERNELS)
+    check_choice("kernels", by, _KERNELS)
     if by == "llvm":
         require_llvm()
     return _chosen(by)
@@ -47,15 +47,11 @@ def each(function: Callable, in_axes: int | Sequence[int | None] = 0) -> Callabl
     """`jax.vmap(function, in_axes)` over elements, or nodes, by the kernels that are chosen; axes 0 and None."""
 
     def over_all(*arguments):
-        mapped = jax.vmap(function, in_axes)
-        leaves = jax.tree.leaves(arguments)
-        # Without a program around it, it is run once.
-        traced = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
-        if _chosen.value == "xla" or not traced or jax.default_backend() != "cpu":
-            return mapped(*arguments)
-        axes = (in_axes,) * len(arguments) if isinstance(in_axes, int) else tuple(in_axes)
-        found = _by_kernel(function, arguments, axes)
-        return mapped(*arguments) if found is None else found
+        found = None
+        if _chosen.value == "llvm" and jax.default_backend() == "cpu":
+            axes = (in_axes,) * len(arguments) if isinstance(in_axes, int) else tuple(in_axes)
+            found = _by_kernel(function, arguments, axes)
+        return jax.vmap(function, in_axes)(*arguments) if found is None else found
 
     return over_all
 
@@ -63,6 +59,8 @@ def each(function: Callable, in_axes: int | Sequence[int | None] = 0) -> Callabl
 def _by_kernel(function: Callable, arguments: tuple, axes: tuple[int | None, ...]):
     """The results on all elements; None where it is XLA's business."""
     everything, tree = jax.tree.flatten(arguments)
+    if not any(isinstance(leaf, jax.core.Tracer) for leaf in everything):
+        return None  # without a program around it, it is run once
     own = [axis == 0 for axis, a in zip(axes, arguments, strict=True) for _ in jax.tree.leaves(a)]
     # Plain numbers stay in the program's text.
     given = [k for k, leaf in enumerate(everything) if not isinstance(leaf, int | float)]

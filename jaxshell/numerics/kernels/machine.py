@@ -35,9 +35,7 @@ def require_llvm() -> None:
     try:
         this_machine()
     except ImportError as error:
-        raise ImportError(
-            "Kernels by LLVM need llvmlite: pip install 'jaxshell[llvm]', or leave kernels at \"xla\"."
-        ) from error
+        raise ImportError('Kernels by LLVM need llvmlite: pip install llvmlite, or leave kernels at "xla".') from error
     _version_of_calls()
 
 

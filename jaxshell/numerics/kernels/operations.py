@@ -29,6 +29,10 @@ def _constant(*values) -> bool:
     return not any(isinstance(v, Vector) for v in values)
 
 
+def _is_truth(value) -> bool:
+    return value.is_truth if isinstance(value, Vector) else isinstance(value, bool)
+
+
 _OF_TRUTHS = {"oeq": "eq", "une": "ne"}
 
 
@@ -36,7 +40,7 @@ def _compare(condition: str, of_constants: Callable) -> Callable:
     def compared(code, a, b):
         if _constant(a, b):
             return bool(of_constants(a, b))
-        if any(isinstance(v, Vector) and v.is_truth for v in (a, b)):
+        if _is_truth(a) or _is_truth(b):
             if condition not in _OF_TRUTHS:
                 raise Unsupported("an order of truths")
             return code.made(
@@ -49,7 +53,7 @@ def _compare(condition: str, of_constants: Callable) -> Callable:
 
 def _logical(operation: str, of_constants: Callable) -> Callable:
     def combined(code, a, b):
-        if any(not (v.is_truth if isinstance(v, Vector) else isinstance(v, bool)) for v in (a, b)):
+        if not (_is_truth(a) and _is_truth(b)):
             raise Unsupported(f"{operation} of bits")
         if _constant(a, b):
             return bool(of_constants(a, b))
@@ -74,8 +78,7 @@ def _select(code, which, first, second=None, *others):
         return second if which else first
     if _constant(first, second) and first == second:
         return first
-    truth = isinstance(first, bool | np.bool_) or isinstance(second, bool | np.bool_)
-    truth = truth or any(isinstance(v, Vector) and v.is_truth for v in (first, second))
+    truth = _is_truth(first) or _is_truth(second)
     kind = code.truths if truth else code.vector
     arms = f"{kind} {code.text(second)}, {kind} {code.text(first)}"
     return code.made(f"select {code.truths} {code.text(which)}, {arms}", is_truth=truth)
@@ -137,6 +140,10 @@ def _sum(code, eqn, array):
     for k in range(1, moved.shape[-1]):
         total = np.asarray(total + moved[..., k], dtype=object)
     return total
+
+
+def _reshaped(code, eqn, array):
+    return array.reshape(eqn.outvars[0].aval.shape)
 
 
 def _broadcast(code, eqn, array):
@@ -201,7 +208,7 @@ def _quotient(code, eqn, a, b):
 
 
 def _not(code, value):
-    if not (value.is_truth if isinstance(value, Vector) else isinstance(value, bool)):
+    if not _is_truth(value):
         raise Unsupported("not of bits")
     return not value if _constant(value) else code.made(f"xor {code.truths} {value.name}, splat (i1 true)", True)
 
@@ -235,9 +242,9 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "dot_general": _matrix_product,
     "reduce_sum": _sum,
     "broadcast_in_dim": _broadcast,
-    "reshape": lambda code, eqn, a: a.reshape(eqn.params["new_sizes"]),
-    "squeeze": lambda code, eqn, a: a.reshape(eqn.outvars[0].aval.shape),
-    "expand_dims": lambda code, eqn, a: a.reshape(eqn.outvars[0].aval.shape),
+    "reshape": _reshaped,
+    "squeeze": _reshaped,
+    "expand_dims": _reshaped,
     "transpose": lambda code, eqn, a: a.transpose(eqn.params["permutation"]),
     "rev": lambda code, eqn, a: np.flip(a, eqn.params["dimensions"]),
     "slice": _slice,
@@ -250,13 +257,18 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "tile": lambda code, eqn, a: np.tile(a, eqn.params["reps"]),
     "iota": _iota,
     "optimization_barrier": lambda code, eqn, *arrays: list(arrays),
-    "stop_gradient": lambda code, eqn, a: a,
     "copy": lambda code, eqn, a: a,
 }
-_ANY_KIND = {"convert_element_type", "broadcast_in_dim", "reshape", "squeeze", "optimization_barrier"}
-_INNER = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr"}
-_INNER |= {"custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr", "remat": "jaxpr", "checkpoint": "jaxpr"}
-_ANY_KIND |= set(_INNER)
+_INNER = {
+    "jit": "jaxpr",
+    "checkpoint": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "custom_vjp_call": "call_jaxpr",
+}
+"""Operations that are functions, and where they keep them."""
+_ANY_KIND = {"convert_element_type", "broadcast_in_dim", "reshape", "squeeze", "optimization_barrier", *_INNER}
+"""Operations that whole numbers may pass, which stand as floats here."""
 
 
 def evaluate(code: Code, jaxpr, constants, arguments: list[np.ndarray]) -> list[np.ndarray]:
@@ -292,6 +304,7 @@ def evaluate(code: Code, jaxpr, constants, arguments: list[np.ndarray]) -> list[
 
 
 def as_entries(constant) -> np.ndarray:
+    """A constant as an object array."""
     if isinstance(constant, jax.core.Tracer):
         raise Unsupported("a constant that is traced")
     return np.asarray(constant).astype(object)
