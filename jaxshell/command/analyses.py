@@ -76,18 +76,22 @@ def path_analysis(settings: RunSettings) -> tuple[Callable, dict[str, Any]]:
 def _equilibria(options, settings: RunSettings, scene, path: Path, say) -> tuple[int, Callable]:
     """Statics, by load steps or by arc length."""
     from jaxshell.command.path_report import NAMES, describe_path
-    from jaxshell.plotting import plot
+    from jaxshell.command.pictures import PicturesAhead
     from jaxshell.results.solution import RESULTS
 
     solve, asked = path_analysis(settings)
+    ahead = None if options.no_plots else PicturesAhead()
     solution = solve(
         scene,
         **asked,
         throw=False,
         progress=sys.stderr.isatty() and not options.quiet,
-        output=outputs(path, options),
+        output=outputs(path, options, ahead),
     )
-    say(describe_path(solution, path))
+    if ahead is not None:
+        ahead.wait()
+    if not options.quiet:
+        say(describe_path(solution, path))
     say_besides(path, options, say)
     failed = not bool(solution.result == RESULTS.successful)
     if failed:
@@ -95,7 +99,13 @@ def _equilibria(options, settings: RunSettings, scene, path: Path, say) -> tuple
     elif settings.errors:
         _say_errors(scene, solution, lambda other: solve(other, **asked, throw=False), say)
     runs = {NAMES[str(settings.analysis)]: solution}
-    return int(failed), lambda folder, stem: plot(runs, folder, stem, contours_of(settings, scene))
+
+    def draw(folder: Path, stem: str):
+        from jaxshell.plotting import plot
+
+        return plot(runs, folder, stem, contours_of(settings, scene))
+
+    return int(failed), draw
 
 
 def contours_of(settings: RunSettings, scene) -> tuple[str, ...]:

@@ -114,6 +114,7 @@ def _changed(options: argparse.Namespace, scene, stem: str):
 def _run_in_time(options: argparse.Namespace, settings, scene, stem: str) -> int:
     """The run of every method that is asked for, each into a file of its own; then the pictures of all together."""
     from jaxshell.analyses.simulation import simulate
+    from jaxshell.command.pictures import PicturesAhead
     from jaxshell.command.report import describe_run, describe_scene
     from jaxshell.results.solution import RESULTS
 
@@ -130,6 +131,7 @@ def _run_in_time(options: argparse.Namespace, settings, scene, stem: str) -> int
     say = (lambda *_: None) if options.quiet else print
     say(describe_scene(scene))
     solutions, failed = {}, []
+    ahead = None if options.no_plots else PicturesAhead()
     for label, method in methods.items():
         path = options.output / (f"{stem}.h5" if len(methods) == 1 else f"{stem}_{_file_part(label)}.h5")
         try:
@@ -141,20 +143,22 @@ def _run_in_time(options: argparse.Namespace, settings, scene, stem: str) -> int
                 restart=restart,
                 throw=False,
                 progress=sys.stderr.isatty() and not options.quiet,
-                output=outputs(path, options),
+                output=outputs(path, options, ahead),
             )
         except KeyboardInterrupt as stopped:
             _say_stopped(path)
             return exit_status(stopped)
         solutions[label] = solution
-        say(describe_run(label, solution, path))
+        if not options.quiet:
+            say(describe_run(label, solution, path))
         say_besides(path, options, say)
         if not bool(solution.result == RESULTS.successful):
             failed.append(label)
             print(f"jaxshell: {label} failed. {solution.message}", file=sys.stderr)
         elif settings.errors:
             _say_errors(solution, method, t_end, arguments, say)
-    if not options.no_plots:
+    if ahead is not None:
+        ahead.wait()
         _draw(solutions, restart, options.output, stem, say, contours_of(settings, scene))
     return 1 if failed else 0
 

@@ -24,8 +24,10 @@ sums over some thousand elements. Empty but for the versions of JAX that they we
 ONCE: dict[str, Any] = COMPILER_OPTIONS and COMPILER_OPTIONS | {"xla_backend_optimization_level": 0}
 """For what is run once: machine code without optimisation, made in about half the time and several times slower (the
 same command)."""
-_LITTLE = 50_000
-"""Numbers in all arguments below which compiling takes longer than what is to be done once, either way."""
+_FRAME = 50_000
+"""Numbers in all arguments below which compiling takes longer than what is to be done for a frame, either way."""
+_SCENE = 10_000_000
+"""The same for a scene, whose tables of assembly are most of the numbers: some 700 for an element."""
 
 
 def compiled(function: Callable, little: int = 0) -> Callable:
@@ -51,5 +53,10 @@ def compiled(function: Callable, little: int = 0) -> Callable:
 
 
 def compiled_once(function: Callable) -> Callable:
-    """`compiled` for what is run once for a scene or a frame: on small ones not worth the optimiser's time."""
-    return compiled(function, _LITTLE)
+    """`compiled` for what is run once for a scene: not worth the optimiser's time but on the largest."""
+    return compiled(function, _SCENE)
+
+
+def compiled_for_frames(function: Callable) -> Callable:
+    """`compiled` for what is run once for a frame: on small scenes not worth the optimiser's time."""
+    return compiled(function, _FRAME)

@@ -6,6 +6,7 @@ pickle, until its input ends or nothing is asked for a minute. It imports nothin
 
 import atexit
 import contextlib
+import functools
 import os
 import pickle
 import subprocess
@@ -122,34 +123,44 @@ def _rendered(job: dict[str, Any]) -> np.ndarray:
     points = ((job["corners"] - middle) / size).reshape(-1, 3)  # of size 1: VTK computes in single precision
     mesh = pyvista.PolyData(points, faces=_faces(len(points)))
     mesh.point_data["values"] = job["values"].ravel()
+    plotter = _plotter()
+    plotter.clear_actors()
+    plotter.window_size = list(job["pixels"])
+    actor = plotter.add_mesh(
+        mesh,
+        scalars="values",
+        clim=list(job["limits"]),
+        cmap=pyvista.LookupTable(values=job["colours"]),
+        show_scalar_bar=False,
+        show_edges=job["lines"],
+        line_width=1,
+        ambient=AMBIENT,
+        diffuse=1 - AMBIENT,
+        specular=0.0,
+        render=False,
+    )
+    actor.mapper.scalar_range = job["limits"]
+    actor.prop.edge_color = "black"
+    actor.prop.edge_opacity = 0.3
+    depth = float(np.abs(points[:, 2]).max()) + 1.0
+    plotter.camera.parallel_projection = True
+    plotter.camera.position, plotter.camera.focal_point, plotter.camera.up = (0, 0, depth), (0, 0, 0), (0, 1, 0)
+    plotter.camera.parallel_scale = 0.5 * (top - bottom) / size
+    plotter.camera.clipping_range = (0.5, 2 * depth)
+    plotter.render()
+    return np.asarray(plotter.screenshot(return_img=True))[..., :3]
+
+
+@functools.cache
+def _plotter() -> Any:
+    """The window that all pictures are rendered in: a new one for each would take four times as long."""
+    import pyvista
+
     theme = pyvista.themes.DocumentTheme()
     theme.background = "white"
-    plotter = pyvista.Plotter(off_screen=True, window_size=list(job["pixels"]), lighting="none", theme=theme)
-    try:
-        actor = plotter.add_mesh(
-            mesh,
-            scalars="values",
-            clim=list(job["limits"]),
-            cmap=pyvista.LookupTable(values=job["colours"]),
-            show_scalar_bar=False,
-            show_edges=job["lines"],
-            line_width=1,
-            ambient=AMBIENT,
-            diffuse=1 - AMBIENT,
-            specular=0.0,
-        )
-        actor.mapper.scalar_range = job["limits"]
-        actor.prop.edge_color = "black"
-        actor.prop.edge_opacity = 0.3
-        plotter.add_light(pyvista.Light(position=tuple(LIGHT), focal_point=(0, 0, 0), light_type="scene light"))
-        depth = float(np.abs(points[:, 2]).max()) + 1.0
-        plotter.camera.parallel_projection = True
-        plotter.camera.position, plotter.camera.focal_point, plotter.camera.up = (0, 0, depth), (0, 0, 0), (0, 1, 0)
-        plotter.camera.parallel_scale = 0.5 * (top - bottom) / size
-        plotter.camera.clipping_range = (0.5, 2 * depth)
-        return np.asarray(plotter.screenshot(return_img=True))[..., :3]
-    finally:
-        plotter.close()
+    plotter = pyvista.Plotter(off_screen=True, lighting="none", theme=theme)
+    plotter.add_light(pyvista.Light(position=tuple(LIGHT), focal_point=(0, 0, 0), light_type="scene light"))
+    return plotter
 
 
 def _faces(count: int) -> np.ndarray:

@@ -16,7 +16,7 @@ from jaxshell.model.gauge import check_at
 from jaxshell.model.materials.base import strain_rotation, stress_rotation
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import check_choice, check_kind, check_positive, check_shape, float_array, shown
-from jaxshell.numerics.compiled import compiled_once
+from jaxshell.numerics.compiled import compiled_for_frames
 from jaxshell.numerics.plane_stress import von_mises
 from jaxshell.results.section_forces import Shape, elements_of, given_shape, over_frames, shape_of, strains_at_points
 from jaxshell.results.solution import Solution
@@ -169,14 +169,14 @@ def _given_strengths(criterion: str, strengths, plies: int) -> list[Strengths]:
     return found
 
 
-@compiled_once
+@compiled_for_frames
 def _judged(values: Float[Array, "*f m p 2 3 3"], strengths: tuple, criterion: str, largest: bool):
     given = jax.tree.map(lambda *each: jnp.stack(each)[:, None, None], *strengths)
     found = _CRITERIA[criterion](values, given)
     return jnp.max(found, axis=(-3, -2, -1)) if largest else found
 
 
-@compiled_once
+@compiled_for_frames
 def _in_plies(scene: Scene, shape: Shape) -> tuple[Float[Array, "m p 2 3 3"], Float[Array, "m p 2 3 3"]]:
     """Stresses and the strains that make them in the plies' axes: element, ply, bottom and top, point, component."""
     layers = scene.section.layers(scene.mesh)

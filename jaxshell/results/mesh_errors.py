@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.assembly.gauges import force_probe
 from jaxshell.model.scene import Scene
-from jaxshell.numerics.compiled import compiled_once
+from jaxshell.numerics.compiled import compiled_for_frames
 from jaxshell.numerics.frozen import Frozen
 from jaxshell.results.section_forces import Shape, elements_of, given_shape, over_frames, shape_of, strains_at_points
 from jaxshell.results.smoothing import Patches, nodal, smooth_patches
@@ -120,7 +120,7 @@ def _errors(scene: Scene, shape: Shape, angle: float, patches: Patches | None, m
     return MeshErrors(energy, strain_energy, area if area.ndim == 1 else area[0])
 
 
-@compiled_once
+@compiled_for_frames
 def _energies(scene: Scene, shape: Shape, labels: Frozen, moments: Float[Array, ""]):
     """Energies of the error, in which moments' errors have a factor, and of the section forces, and the areas."""
     elements = elements_of(scene)

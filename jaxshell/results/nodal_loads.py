@@ -10,7 +10,7 @@ from jaxshell.model.contribution import Contribution, Place, Surface
 from jaxshell.model.history import History
 from jaxshell.model.loads import DeadLoad, Load
 from jaxshell.model.scene import Scene
-from jaxshell.numerics.compiled import compiled_once
+from jaxshell.numerics.compiled import compiled_for_frames
 from jaxshell.numerics.triangles import local_frame
 
 
@@ -29,7 +29,7 @@ def resultant(places, nodal) -> tuple[np.ndarray, np.ndarray]:
     return nodal[:, :3].sum(axis=0), (np.cross(places, nodal[:, :3]) + nodal[:, 3:]).sum(axis=0)
 
 
-@compiled_once
+@compiled_for_frames
 def _nodal(scene: Scene) -> list[Float[Array, "n 6"]]:
     x0, triangles = scene.mesh.nodes, scene.mesh.triangles
     frames, plane = jax.vmap(local_frame)(x0[triangles])

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from jaxshell.model.obstacles import Obstacle
 from jaxshell.model.scene import Scene
-from jaxshell.numerics.compiled import compiled_once
+from jaxshell.numerics.compiled import compiled_for_frames
 from jaxshell.results.solution import Solution
 
 _FRAMES = 64
@@ -87,7 +87,7 @@ def _of(solution: Solution, obstacle: Obstacle, name: str) -> Penetration:
     return Penetration(name, np.concatenate(depth), nodes[which], thickness[which])
 
 
-@compiled_once
+@compiled_for_frames
 def _depths(obstacle: Obstacle, x: Float[Array, "f k 3"], shifts: Float[Array, "f 3"], skin: Float[Array, " k"]):
     return skin - jax.vmap(jax.vmap(obstacle.gap))(x - shifts[:, None])
 

@@ -22,8 +22,8 @@ from jaxshell.elements.strains import section_strains as strains_of_element
 from jaxshell.model.materials.base import strain_rotation
 from jaxshell.model.scene import Scene
 from jaxshell.model.sections.direction import angles, check_direction, given_direction
-from jaxshell.numerics.checks import check_choice, check_kind, check_shape, shown
-from jaxshell.numerics.compiled import compiled_once
+from jaxshell.numerics.checks import check_choice, check_kind, check_shape, is_concrete, shown
+from jaxshell.numerics.compiled import compiled_for_frames
 from jaxshell.numerics.triangles import local_frame
 from jaxshell.results.solution import Solution
 
@@ -134,7 +134,8 @@ def shape_of(solution: Solution, frame) -> Shape:
     if numbers.dtype.kind not in "iu" or numbers.ndim > 1 or np.any((numbers < -count) | (numbers >= count)):
         raise ValueError(f"frame must be the number of a frame, 0 to {count - 1}, or a list, but it is {shown(frame)}.")
     frames = solution.frame(numbers.tolist())
-    times = jnp.asarray(solution.frame_times)[numbers]
+    times = solution.frame_times
+    times = (np.asarray(times) if is_concrete(times) else times)[numbers]
     return Shape(
         jnp.asarray(frames.displacements),
         jnp.asarray(frames.rotations),
@@ -232,7 +233,7 @@ def _averaged(found, shape: Shape, at: str):
     return found if at == "points" else jax.tree.map(lambda a: jnp.mean(a, axis=shape.displacements.ndim - 1), found)
 
 
-@compiled_once
+@compiled_for_frames
 def _section_forces(scene: Scene, shape: Shape, angle, whole: bool) -> SectionForces:
     elements = elements_of(scene)
     strains = strains_at_points(scene, elements, shape)
@@ -244,7 +245,7 @@ def _section_forces(scene: Scene, shape: Shape, angle, whole: bool) -> SectionFo
     return SectionForces(N, M)
 
 
-@compiled_once
+@compiled_for_frames
 def strains_in_axes(scene: Scene, shape: Shape, angle, whole: bool, elastic: bool) -> SectionStrains:
     strains = strains_at_points(scene, elements_of(scene), shape)
     if elastic:
@@ -261,7 +262,7 @@ def strains_in_axes(scene: Scene, shape: Shape, angle, whole: bool, elastic: boo
     return SectionStrains(jnp.einsum("mij,m...j->m...i", turn, strain), jnp.einsum("mij,m...j->m...i", turn, curvature))
 
 
-@compiled_once
+@compiled_for_frames
 def energies_of_elements(scene: Scene, shape: Shape) -> Float[Array, " m"]:
     elements = build_elements(scene)
     if scene.initial_strains:

@@ -24,7 +24,7 @@ from jaxshell.model.mesh import Mesh
 from jaxshell.model.scene import Scene
 from jaxshell.model.sections.regions import region_of_elements
 from jaxshell.numerics.checks import check_choice, check_kind, check_within, float_array, is_concrete
-from jaxshell.numerics.compiled import compiled_once
+from jaxshell.numerics.compiled import compiled_for_frames
 from jaxshell.numerics.frozen import Frozen
 from jaxshell.numerics.triangles import local_frame
 
@@ -57,7 +57,7 @@ def smooth_patches(scene: Scene | Mesh, angle: float = 30.0) -> Patches:
     return Patches(Frozen(labels.reshape(-1, 3)))
 
 
-@compiled_once
+@compiled_for_frames
 def _fans(nodes: Float[Array, "n 3"], triangles: Frozen, angle, region: Frozen | None):
     edges = Edges(triangles.array)
     facets = jax.vmap(local_frame)(nodes[triangles.array])[0][:, 2]
@@ -107,7 +107,7 @@ def nodal(
     return _nodal(mesh, values, components, patches.labels)
 
 
-@compiled_once
+@compiled_for_frames
 def _nodal(mesh: Mesh, values, components, labels: Frozen):
     x = mesh.nodes[mesh.triangles]
     frames, coordinates = jax.vmap(local_frame)(x)

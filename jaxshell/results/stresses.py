@@ -16,7 +16,7 @@ from jaxshell.model.gauge import At, Gauge, check_at, check_gauge, gauge_of
 from jaxshell.model.mesh import Mesh
 from jaxshell.model.scene import Scene
 from jaxshell.numerics.checks import check_switch, shown, whole_array
-from jaxshell.numerics.compiled import compiled_once
+from jaxshell.numerics.compiled import compiled_for_frames
 from jaxshell.results.section_forces import (
     Shape,
     elements_of,
@@ -136,7 +136,7 @@ def _stresses_at(scene: Scene, shape: Shape, at: At, axes, mean: bool, elements)
     return found if chosen is None else jnp.take(found, chosen, axis=shape.displacements.ndim - 2)
 
 
-@compiled_once
+@compiled_for_frames
 def _stresses(scene: Scene, shape: Shape, at, angle, named: str) -> Float[Array, "m 3 *c"]:
     strains = strains_at_points(scene, elements_of(scene), shape)
     probe = stress_probe(scene, at, ply_axes=named == "ply")
@@ -145,14 +145,14 @@ def _stresses(scene: Scene, shape: Shape, at, angle, named: str) -> Float[Array,
     return in_space(scene, shape, found) if named == "global" else found
 
 
-@compiled_once
+@compiled_for_frames
 def _gauge_field(scene: Scene, shape: Shape, gauge: Gauge) -> Float[Array, "m 3"]:
     elements = elements_of(scene)
     found = probe_of(scene, elements, gauge)(strains_at_points(scene, elements, shape), shape.factors)
     return picked(found, gauge)
 
 
-@compiled_once
+@compiled_for_frames
 def _middles(scene: Scene, shape: Shape, gauges: tuple[Gauge, ...]) -> list[Float[Array, " m"]]:
     elements = elements_of(scene)
     strains = jnp.mean(strains_at_points(scene, elements, shape), axis=1, keepdims=True)

@@ -29,7 +29,7 @@ from jaxshell.numerics.checks import (
     is_concrete,
     optional_floats,
 )
-from jaxshell.numerics.compiled import compiled_once
+from jaxshell.numerics.compiled import compiled_for_frames
 from jaxshell.numerics.frozen import Frozen
 
 _ROUND_OFF, _AT_REST = 1e-9, 1e-3
@@ -208,13 +208,13 @@ class Meeting(NamedTuple):
     """Out of the obstacle."""
 
 
-@compiled_once
+@compiled_for_frames
 def _meeting(obstacle: Obstacle, x: Float[Array, "k 3"], shift: Float[Array, "3"], skin: Float[Array, " k"]):
     seen = x - shift
     return skin - jax.vmap(obstacle.gap)(seen), jax.vmap(obstacle.gap_between)(seen, seen)
 
 
-@compiled_once
+@compiled_for_frames
 def _half_thickness(z: Float[Array, "m p 2"], mesh: Mesh) -> Float[Array, " n"]:
     corners = mesh.nodes[mesh.triangles]
     area = 0.5 * jnp.linalg.norm(jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)

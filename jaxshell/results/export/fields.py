@@ -19,7 +19,7 @@ from jaxshell.model.gauge import gauge_of, ply_counts
 from jaxshell.model.scene import Scene
 from jaxshell.numerics import rotations
 from jaxshell.numerics.checks import check_kind, shown
-from jaxshell.numerics.compiled import compiled_once
+from jaxshell.numerics.compiled import compiled_for_frames
 from jaxshell.numerics.frozen import Frozen
 from jaxshell.results.failure import index_in_shape, strengths_of_plies
 from jaxshell.results.frames import Frames
@@ -215,7 +215,7 @@ class Evaluator:
         return np.concatenate([values, np.repeat(values[-1:], self.most - len(values), axis=0)])
 
 
-@compiled_once
+@compiled_for_frames
 def _values(scene: Scene, chosen: Chosen, names: tuple[str, ...], static: bool, given, count) -> dict[str, Array]:
     """The fields of the first `count` frames, given as times, displacements, rotations; of the others zeros."""
     of_shape = _of_one(scene, chosen, names)
