@@ -53,8 +53,9 @@ class _Rules(NamedTuple):
 _TURNING = _Rules(0.6, 0.6, 14, 1e-3, by_cost=True)
 """The smaller margin keeps what a method conserves as well as shorter service of factorizations does at 1e-2."""
 _STILL = _Rules(0.25, 0.5, 8, 1e-2, by_cost=False)
-_COSTS = 8.0
-"""A factorization, its tangent included, in corrections: 5 with 500 unknowns, 8.5 to 10 from 3000 to 16 000."""
+_COSTS, _LARGE, _COSTS_LARGE = 8.0, 1000, 12.0
+"""A factorization, its tangent included, in corrections, and from how many unknowns on it is more: 3 to 5 with 500, 8.5
+to 11 with 3000, 13 with 16 000, 15 with 60 000. With few it hardly matters, and shorter service conserves better."""
 _FEWEST = 4.0
 """No step is expected to do with fewer corrections."""
 _AFFORDABLE = 6
@@ -262,7 +263,8 @@ def _outlook(newton, rules: _Rules, c: _Carry, found: Correction, fresh) -> _Out
 def _remembered(rules: _Rules, end: _Carry, result) -> Memory:
     """What the step leaves to the next."""
     kept, own = end.memory, end.factorizations > 0
-    spent = jnp.where(own, _COSTS + 1 + end.since, kept.spent + end.iterations)
+    costs = _COSTS if end.free.size < _LARGE else _COSTS_LARGE
+    spent = jnp.where(own, costs + 1 + end.since, kept.spent + end.iterations)
     kept = eqx.tree_at(lambda m: (m.spent, m.steps), kept, (spent, jnp.where(own, 1, kept.steps + 1)))
     useless = (kept.contraction > rules.useless) | (result != SUCCESSFUL)
     many = end.full & (end.iterations > _FEW)
