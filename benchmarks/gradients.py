@@ -1,7 +1,8 @@
-"""Time and memory of gradients and batches: `python benchmarks/gradients.py [gradient [xla] [llvm]] [memory] [batch]`.
+"""Time and memory of gradients and batches: `python benchmarks/gradients.py [gradient [xla] [llvm]] [outputs] [memory] [batch]`.
 
 gradient: value and gradient with respect to 960 thicknesses of the opened cap over 100 and 500 steps, against the
           plain run, by kernels of XLA's and of LLVM's.
+outputs:  the derivatives of 1, 4 and 16 of its displacements by all thicknesses, over 100 steps.
 memory:   the strategies of `simulate(gradients=...)` at two sizes.
 batch:    32 loads on the cap over 100 steps: a loop, `jax.vmap`, and `jax.shard_map` over two CPU devices.
 
@@ -92,6 +93,23 @@ def gradient_of(steps: int, kernels: str):
             )
 
 
+def outputs(steps=100):
+    cap = js.scenes.opened_cap()
+    thickness = jnp.full(cap.mesh.n_elements, 0.4)
+    print(f"jax.jacrev by {cap.mesh.n_elements} thicknesses of the opened cap, {steps} steps, EMC")
+    for count in (1, 4, 16):
+
+        def of(thickness, count=count):
+            varied = eqx.tree_at(lambda s: s.section.thickness, cap, thickness)
+            run = js.simulate(varied, METHODS["EMC"], dt=0.01, t_end=0.01 * steps, save_every=steps, throw=False)
+            return run.displacements[-1, -count:, 2]
+
+        [(_, wall, cpu)] = best(
+            functools.partial(jax.jit(jax.jacrev(of), compiler_options=js.COMPILER_OPTIONS), thickness)
+        )
+        print(f"  {count:2d} outputs {wall:6.2f} s ({cpu:.2f})", flush=True)
+
+
 def memory(steps=400):
     strategies = {
         "Stored()": Stored(),
@@ -141,10 +159,6 @@ def batch(steps=100, count=32):
 
 
 if __name__ == "__main__":
-    chosen = [name for name in ("gradient", "memory", "batch") if name in sys.argv[1:]] or [
-        "gradient",
-        "memory",
-        "batch",
-    ]
-    for name in chosen:
-        {"gradient": gradient, "memory": memory, "batch": batch}[name]()
+    parts = {"gradient": gradient, "outputs": outputs, "memory": memory, "batch": batch}
+    for name in [name for name in parts if name in sys.argv[1:]] or parts:
+        parts[name]()

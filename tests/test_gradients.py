@@ -63,6 +63,21 @@ def test_the_way_back_factors_once_and_runs_no_iteration():
     assert adjoint().as_text().count('custom_call_target="pardiso_mkl_jax_factor_solve"') == 2
 
 
+def test_several_outputs_share_the_way_back():
+    """`jax.jacrev`: one factorization a step for all outputs, with a substitution for each."""
+
+    def outputs(thickness):
+        value = measure(run(parameters() | {"thickness": thickness}))
+        return jnp.stack([value, value**2, -value])
+
+    jacobian = jax.jit(jax.jacrev(outputs)).lower(parameters()["thickness"]).compile()
+    assert jacobian.as_text().count('custom_call_target="pardiso_mkl_jax_factor_solve"') == 2
+    value, gradient = value_and_gradient(parameters())
+    expected = np.outer([1.0, 2.0 * value, -1.0], gradient["thickness"])
+    found = np.asarray(jacobian(parameters()["thickness"])).reshape(expected.shape)
+    np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+
+
 def test_gradients_are_finite_at_rest():
     (_, code), gradient = adjoint()(parameters(), NONE, NONE)
     assert int(code) == 0
