@@ -6,12 +6,15 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import h5py
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -19,6 +22,7 @@ jax.config.update("jax_enable_x64", True)
 
 from synthetic import synthetic_solution  # noqa: E402
 
+from jaxshell.numerics.compiled import compiled  # noqa: E402
 from jaxshell.results import durable  # noqa: E402
 from jaxshell.results.hdf5 import ResultWriter  # noqa: E402
 from jaxshell.results.solution import RESULTS, Solution  # noqa: E402
@@ -254,8 +258,11 @@ def test_a_strangers_file_is_refused(spoil, solution, tmp_path):
 
 _WRITER = """
 import sys
+import threading
+import time
 sys.path[:0] = {paths!r}
 import jax
+import jax.numpy as jnp
 jax.config.update("jax_enable_x64", True)
 import contextlib
 from synthetic import synthetic_solution
@@ -356,3 +363,25 @@ def test_a_signal_waits_until_the_file_is_whole():
     finally:
         signal.signal(signal.SIGHUP, before)
     assert order == ["written"] and caught.value.number == signal.SIGHUP
+
+
+@pytest.mark.skipif(threading.current_thread() is not threading.main_thread(), reason="signals reach main threads")
+def test_a_signal_waits_for_the_program_that_runs():
+    """XLA's threads are in the native solvers then: a process that ended at once would crash as often as not."""
+
+    @compiled
+    def run(turns):  # what calls no library may run in this thread, which no signal interrupts
+        once = lambda _, x: jnp.linalg.solve(1.0001 * jnp.eye(40), x)  # noqa: E731
+        return jax.lax.fori_loop(0, turns, once, jnp.ones((40, 40)))
+
+    turns, seconds = np.asarray(1000), 0.0
+    run(turns)
+    while seconds < 0.6:
+        turns, begun = 2 * turns, time.perf_counter()
+        run(turns).block_until_ready()
+        seconds = time.perf_counter() - begun
+    threading.Timer(0.1 * seconds, os.kill, (os.getpid(), signal.SIGINT)).start()
+    begun = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt):
+        run(turns).block_until_ready()
+    assert time.perf_counter() - begun > 0.5 * seconds

@@ -1,5 +1,6 @@
 """How jaxshell's own programs are compiled: `eqx.filter_jit`, with options for XLA where the program is ours alone."""
 
+import contextlib
 import functools
 from collections.abc import Callable
 from typing import Any
@@ -47,9 +48,21 @@ def compiled(function: Callable, little: int = 0) -> Callable:
         leaves = jax.tree.leaves(arguments)
         if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
             return within(*arguments)
-        return (small if little and sum(map(np.size, leaves)) < little else quick)(*arguments)
+        try:
+            return (small if little and sum(map(np.size, leaves)) < little else quick)(*arguments)
+        except KeyboardInterrupt:
+            _let_end()
+            raise
 
     return call
+
+
+def _let_end() -> None:
+    """Wait for the program that a signal interrupted the waiting for: XLA's threads run on in it, and a process that
+    ended meanwhile would take the native solvers from under them. A second signal does not wait."""
+    # The exception's traceback still holds what the program is to return.
+    with contextlib.suppress(RuntimeError, ValueError):
+        jax.block_until_ready(jax.live_arrays())
 
 
 def compiled_once(function: Callable) -> Callable:
