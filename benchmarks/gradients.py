@@ -1,4 +1,6 @@
-"""Time and memory of gradients and batches: `python benchmarks/gradients.py [gradient [xla] [llvm]] [outputs] [memory] [batch]`.
+"""Time and memory of gradients and batches.
+
+`python benchmarks/gradients.py [gradient [xla] [llvm]] [outputs] [memory] [batch]`
 
 gradient: value and gradient with respect to 960 thicknesses of the opened cap over 100 and 500 steps, against the
           plain run, by kernels of XLA's and of LLVM's.
@@ -45,16 +47,16 @@ def best(*functions, repeat=3):
     return [(result, *least) for result, least in zip(results, times.min(axis=0), strict=True)]
 
 
+def run_with(thickness, scene, method, dt, steps, gradients=None):
+    """The run of a scene with these thicknesses of its elements."""
+    varied = eqx.tree_at(lambda s: s.section.thickness, scene, thickness)
+    return js.simulate(varied, method, dt=dt, t_end=dt * steps, save_every=steps, gradients=gradients, throw=False)
+
+
 def deflection(scene, method, dt, steps, gradients=None):
     """The function from thicknesses to the first watched displacement at the end."""
     label = scene.watch[0][0]
-
-    def value(thickness):
-        varied = eqx.tree_at(lambda s: s.section.thickness, scene, thickness)
-        run = js.simulate(varied, method, dt=dt, t_end=dt * steps, save_every=steps, gradients=gradients, throw=False)
-        return run.watched[label][-1]
-
-    return value
+    return lambda thickness: run_with(thickness, scene, method, dt, steps, gradients).watched[label][-1]
 
 
 def gradient():
@@ -100,9 +102,7 @@ def outputs(steps=100):
     for count in (1, 4, 16):
 
         def of(thickness, count=count):
-            varied = eqx.tree_at(lambda s: s.section.thickness, cap, thickness)
-            run = js.simulate(varied, METHODS["EMC"], dt=0.01, t_end=0.01 * steps, save_every=steps, throw=False)
-            return run.displacements[-1, -count:, 2]
+            return run_with(thickness, cap, METHODS["EMC"], 0.01, steps).displacements[-1, -count:, 2]
 
         [(_, wall, cpu)] = best(
             functools.partial(jax.jit(jax.jacrev(of), compiler_options=js.COMPILER_OPTIONS), thickness)

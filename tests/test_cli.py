@@ -17,6 +17,7 @@ jax.config.update("jax_enable_x64", True)
 from jaxshell.analyses.statics import solve_static  # noqa: E402
 from jaxshell.command.cli import main  # noqa: E402
 from jaxshell.command.method_names import choose_methods, method_label, parse_method  # noqa: E402
+from jaxshell.command.pictures import PicturesAhead  # noqa: E402
 from jaxshell.command.run_settings import _about_as_many_elements  # noqa: E402
 from jaxshell.methods import GeneralizedEnergyMomentum, Newmark  # noqa: E402
 from jaxshell.model.generators import rectangle  # noqa: E402
@@ -24,6 +25,7 @@ from jaxshell.model.loads import Gravity, History, NodalForce  # noqa: E402
 from jaxshell.model.scene import Scene  # noqa: E402
 from jaxshell.model.sections import Section  # noqa: E402
 from jaxshell.model.supports import clamped  # noqa: E402
+from jaxshell.plotting.ahead import draw_one  # noqa: E402
 from jaxshell.results.diagnostics import loads_end  # noqa: E402
 from jaxshell.results.solution import RESULTS, Solution  # noqa: E402
 from jaxshell.scenes import BY_NAME, PAPER  # noqa: E402
@@ -376,3 +378,17 @@ def test_end_of_the_loads():
     late = Gravity([0, 0, 1], History([0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 0.0, 0.0]))
     assert loads_end(PAPER["plate"]((3, 1), loads=[late])) == 2.0
     assert loads_end(PAPER["opened_cap"]((6, 2))) == np.inf
+
+
+def test_what_pictures_need_is_loaded_once_the_program_is_compiled(monkeypatch):
+    drawn_ahead = []
+    monkeypatch.setattr("jaxshell.plotting.ahead.draw_one", lambda: drawn_ahead.append(1) or 1 / 0)
+    PicturesAhead(wanted=False).wait()
+    waiting = PicturesAhead(wanted=True)
+    waiting.wait()  # of a run that failed before
+    for expected in ([], [1], [1]):  # after the start, then the first steps
+        waiting.append(None)
+        waiting.wait()
+        assert drawn_ahead == expected
+    monkeypatch.undo()
+    draw_one()

@@ -258,11 +258,8 @@ def test_a_strangers_file_is_refused(spoil, solution, tmp_path):
 
 _WRITER = """
 import sys
-import threading
-import time
 sys.path[:0] = {paths!r}
 import jax
-import jax.numpy as jnp
 jax.config.update("jax_enable_x64", True)
 import contextlib
 from synthetic import synthetic_solution

@@ -19,14 +19,12 @@ jax.config.update("jax_enable_x64", True)
 
 from synthetic import synthetic_solution  # noqa: E402
 
-from jaxshell.command.pictures import PicturesAhead  # noqa: E402
 from jaxshell.model.generators import rectangle  # noqa: E402
 from jaxshell.model.loads import Gravity, History, NodalForce, NodalMoment, Pressure  # noqa: E402
 from jaxshell.model.scene import Defaults, Scene  # noqa: E402
 from jaxshell.model.sections import Section  # noqa: E402
 from jaxshell.model.supports import Support, clamped, pinned, symmetry  # noqa: E402
 from jaxshell.plotting import animate, figures, offscreen, plot, rendering, scene_figure, view, window  # noqa: E402
-from jaxshell.plotting.ahead import draw_one  # noqa: E402
 from jaxshell.plotting.colouring import colouring  # noqa: E402
 from jaxshell.plotting.movie import _pace  # noqa: E402
 from jaxshell.plotting.panels import frame, place_labels, triad  # noqa: E402
@@ -158,19 +156,6 @@ def test_what_was_rendered_before_leaves_no_trace():
     assert np.array_equal(before, after) and not np.array_equal(before, between)
 
 
-def test_what_pictures_need_is_loaded_once_the_program_is_compiled(run, monkeypatch):
-    drawn_ahead = []
-    monkeypatch.setattr("jaxshell.plotting.ahead.draw_one", lambda: drawn_ahead.append(1) or 1 / 0)
-    waiting = PicturesAhead()
-    waiting.wait()  # of a run that failed before
-    for part, expected in ((run, []), (run, [1]), (run, [1])):  # the start, then the first steps
-        waiting.append(part)
-        waiting.wait()
-        assert drawn_ahead == expected
-    monkeypatch.undo()
-    draw_one()
-
-
 def test_titles_have_scene_and_method_and_shapes_have_times_axes_and_scale(run):
     for what, figure in figures({"EMC": run}, renderer="matplotlib").items():
         assert figure.get_suptitle().startswith("shelf, EMC: "), what
@@ -181,6 +166,7 @@ def test_titles_have_scene_and_method_and_shapes_have_times_axes_and_scale(run):
     assert shapes.axes[-1].get_ylabel() == "Displacement in mm"  # as the scale bar
     compared = figures({"EMC": run, "exact": run}, renderer="matplotlib")["energy"]
     assert compared.get_suptitle() == "shelf: energy"
+    assert figures(run, renderer="matplotlib")["energy"].get_suptitle() == "shelf, EMC: energy"
 
 
 def test_panels_of_one_picture_have_one_unit(run):

@@ -80,7 +80,7 @@ def _equilibria(options, settings: RunSettings, scene, path: Path, say) -> tuple
     from jaxshell.results.solution import RESULTS
 
     solve, asked = path_analysis(settings)
-    ahead = None if options.no_plots else PicturesAhead()
+    ahead = PicturesAhead(wanted=not options.no_plots)
     solution = solve(
         scene,
         **asked,
@@ -88,8 +88,6 @@ def _equilibria(options, settings: RunSettings, scene, path: Path, say) -> tuple
         progress=sys.stderr.isatty() and not options.quiet,
         output=outputs(path, options, ahead),
     )
-    if ahead is not None:
-        ahead.wait()
     if not options.quiet:
         say(describe_path(solution, path))
     say_besides(path, options, say)
@@ -101,6 +99,7 @@ def _equilibria(options, settings: RunSettings, scene, path: Path, say) -> tuple
     runs = {NAMES[str(settings.analysis)]: solution}
 
     def draw(folder: Path, stem: str):
+        ahead.wait()
         from jaxshell.plotting import plot
 
         return plot(runs, folder, stem, contours_of(settings, scene))

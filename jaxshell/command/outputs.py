@@ -4,15 +4,15 @@ import argparse
 from pathlib import Path
 
 
-def outputs(path: Path, options: argparse.Namespace, ahead=None) -> list:
-    """The result file, what is asked for besides, and what makes pictures ready."""
+def outputs(path: Path, options: argparse.Namespace, *more) -> list:
+    """The result file, what is asked for besides, and `more` outputs."""
     from jaxshell.results.export.vtkhdf import VTKHDFWriter
     from jaxshell.results.hdf5 import ResultWriter
 
     found: list = [ResultWriter(path, overwrite=options.overwrite)]
     if options.vtkhdf:
         found.append(VTKHDFWriter(path.with_suffix(".vtkhdf"), overwrite=options.overwrite))
-    return found if ahead is None else [*found, ahead]
+    return [*found, *more]
 
 
 def say_besides(path: Path, options: argparse.Namespace, say) -> None:

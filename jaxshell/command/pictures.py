@@ -12,8 +12,8 @@ class PicturesAhead(Output):
     Then the run's program is compiled, and Python waits for it; before, the thread would only slow down the tracing.
     """
 
-    def __init__(self):
-        self._parts = 0
+    def __init__(self, wanted: bool):
+        self._wanted, self._parts = wanted, 0
         self._thread = threading.Thread(target=_load, daemon=True)
 
     def begin(self, scene, settings) -> None:
@@ -21,7 +21,7 @@ class PicturesAhead(Output):
 
     def append(self, part) -> None:
         self._parts += 1
-        if self._parts == 2:
+        if self._wanted and self._parts == 2:
             self._thread.start()
 
     def finish(self, result, message, stats) -> None:

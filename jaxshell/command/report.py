@@ -91,7 +91,7 @@ def strained(run: Solution, when: str) -> list[str]:
 def _energy(run: Solution) -> list[str]:
     balance = energy_balance(run)
     worst = balance[np.argmax(np.abs(balance))]
-    removed = float(np.asarray(run.energy.dissipated)[-1])
+    removed = float(run.energy.dissipated[-1])
     terms = "K + S + D - W" if removed else "K + S - W"
     lines = [f"  energy: {terms} changes by {worst:.1e} of the largest K + S, {balance[-1]:.1e} at the end"]
     return [*lines, f"  damping and dissipation have removed D = {removed:.6g}"] if removed else lines

@@ -131,7 +131,7 @@ def _run_in_time(options: argparse.Namespace, settings, scene, stem: str) -> int
     say = (lambda *_: None) if options.quiet else print
     say(describe_scene(scene))
     solutions, failed = {}, []
-    ahead = None if options.no_plots else PicturesAhead()
+    ahead = PicturesAhead(wanted=not options.no_plots)
     for label, method in methods.items():
         path = options.output / (f"{stem}.h5" if len(methods) == 1 else f"{stem}_{_file_part(label)}.h5")
         try:
@@ -157,8 +157,8 @@ def _run_in_time(options: argparse.Namespace, settings, scene, stem: str) -> int
             print(f"jaxshell: {label} failed. {solution.message}", file=sys.stderr)
         elif settings.errors:
             _say_errors(solution, method, t_end, arguments, say)
-    if ahead is not None:
-        ahead.wait()
+    ahead.wait()
+    if not options.no_plots:
         _draw(solutions, restart, options.output, stem, say, contours_of(settings, scene))
     return 1 if failed else 0
 

@@ -4,7 +4,10 @@ pictures of scenes before they run."""
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import equinox as eqx
+import jax
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
 
 from jaxshell.plotting import rendering
@@ -41,7 +44,7 @@ def figures(
     """
     runs = named_runs(solutions)
     name, first = next(iter(runs.items()))
-    moving = {label: solution for label, solution in runs.items() if len(solution.times) > 1}
+    moving = {label: _on_host(solution) for label, solution in runs.items() if len(solution.times) > 1}
     painter = rendering.renderer(renderer)
     drawn = {}
     with matplotlib.rc_context(STYLE):
@@ -60,6 +63,15 @@ def figures(
             drawn["energy"] = energy_figure(moving)
             drawn["momentum"] = momentum_figure(moving)
     return {what: figure for what, figure in drawn.items() if figure is not None}
+
+
+def _on_host(run: Solution) -> Solution:
+    """Its histories as NumPy's arrays: of JAX's, each sum and quotient that is drawn would be compiled first."""
+
+    def histories(run: Solution):
+        return run.times, run.watched, run.energy, run.momentum
+
+    return eqx.tree_at(histories, run, jax.tree.map(np.asarray, histories(run)))
 
 
 def plot(

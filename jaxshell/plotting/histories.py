@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 
-import jax
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -44,9 +43,7 @@ def watched_figure(runs: Runs, kind: str) -> Figure | None:
         held = [(name, run) for name, run in runs.items() if label in run.watched]
         divisor, text = watched_axis(scene, label, component, largest)
         for position, (name, run) in enumerate(held):
-            panel.plot(
-                np.asarray(run.times) / seconds, np.asarray(run.watched[label]) / divisor, label=name, **line(position)
-            )
+            panel.plot(run.times / seconds, run.watched[label] / divisor, label=name, **line(position))
         panel.set_ylabel(text)
     _head(figure, panels[0, 0], runs, _WHAT[kind])
     return figure
@@ -72,13 +69,13 @@ def energy_figure(runs: Runs) -> Figure:
     seconds, time_text = _time(runs)
     figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
     grid = figure.add_gridspec(2, len(runs), height_ratios=(1.6, 1))
-    largest = _largest(jax.tree.map(np.asarray, run.energy).total for run in runs.values())
+    largest = _largest(run.energy.total for run in runs.values())
     divisor, unit = scaled(scene, largest, "J")
     top = None
     for position, (name, run) in enumerate(runs.items()):
         panel = top_panel = figure.add_subplot(grid[0, position], sharey=top)
         top = top or top_panel
-        t, energy = np.asarray(run.times) / seconds, jax.tree.map(np.asarray, run.energy)
+        t, energy = run.times / seconds, run.energy
         curves = [
             (energy.kinetic, "kinetic K", BLUE, "--"),
             (energy.strain, "strain S", VERMILLION, "-."),
@@ -101,8 +98,8 @@ def energy_figure(runs: Runs) -> Figure:
     for position, (name, run) in enumerate(runs.items()):
         error = energy_balance(run)
         text = f"{name if len(runs) > 1 else ''}: largest {np.max(np.abs(error)):.1e}".lstrip(": ")
-        below.plot(np.asarray(run.times) / seconds, _magnitude(error), label=text, **line(position))
-    dissipates = any(np.any(np.asarray(run.energy.dissipated)) for run in runs.values())
+        below.plot(run.times / seconds, _magnitude(error), label=text, **line(position))
+    dissipates = any(np.any(run.energy.dissipated) for run in runs.values())
     below.set_ylabel(f"|Δ(K + S{' + D' if dissipates else ''} - W)|\n/ largest K + S", fontsize=8.5)
     _logarithmic(below)
     below.set_xlabel(time_text)
@@ -133,7 +130,7 @@ def momentum_figure(runs: Runs) -> Figure | None:
             panel = panels[row, column]
             for position, (label, run) in enumerate(runs.items()):
                 component = values[position][:, row] / divisor
-                panel.plot(np.asarray(run.times) / seconds, component, label=label, **line(position))
+                panel.plot(run.times / seconds, component, label=label, **line(position))
             panel.set_ylabel(f"${symbol}_{'xyz'[row]}${unit}")
             # A component that vanishes is a flat line, not its round-off blown up.
             if max(np.max(np.abs(v[:, row])) for v in values) < 1e-6 * largest:

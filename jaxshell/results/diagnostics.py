@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from jaxshell.model.mesh_checks import triangle_areas
@@ -12,9 +11,9 @@ from jaxshell.results.solution import Solution
 
 def energy_balance(run: Solution) -> np.ndarray:
     """(k,) change of K + S + D - W since the start, as a fraction of the largest K + S."""
-    energy = jax.tree.map(np.asarray, run.energy)
-    balance = energy.total + energy.dissipated - energy.external_work
-    largest = np.max(np.abs(energy.total))
+    energy = run.energy
+    balance = np.asarray(energy.total + energy.dissipated - energy.external_work)
+    largest = np.max(np.abs(np.asarray(energy.total)))
     return (balance - balance[0]) / (largest if largest > 0 else 1.0)
 
 

@@ -22,7 +22,7 @@ from jaxshell.elements.strains import section_strains as strains_of_element
 from jaxshell.model.materials.base import strain_rotation
 from jaxshell.model.scene import Scene
 from jaxshell.model.sections.direction import angles, check_direction, given_direction
-from jaxshell.numerics.checks import check_choice, check_kind, check_shape, is_concrete, shown
+from jaxshell.numerics.checks import check_choice, check_kind, check_shape, shown
 from jaxshell.numerics.compiled import compiled_for_frames
 from jaxshell.numerics.triangles import local_frame
 from jaxshell.results.solution import Solution
@@ -134,8 +134,7 @@ def shape_of(solution: Solution, frame) -> Shape:
     if numbers.dtype.kind not in "iu" or numbers.ndim > 1 or np.any((numbers < -count) | (numbers >= count)):
         raise ValueError(f"frame must be the number of a frame, 0 to {count - 1}, or a list, but it is {shown(frame)}.")
     frames = solution.frame(numbers.tolist())
-    times = solution.frame_times
-    times = (np.asarray(times) if is_concrete(times) else times)[numbers]
+    times = jnp.asarray(solution.frame_times)[numbers]
     return Shape(
         jnp.asarray(frames.displacements),
         jnp.asarray(frames.rotations),
